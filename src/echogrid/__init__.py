@@ -1,0 +1,43 @@
+"""echogrid: a log of ultrasonic ranges in, a trustworthy occupancy map of the room out.
+
+from echogrid import Robot, build_map, load_log
+
+robot = Robot.load("b21")
+for grid in build_map(load_log("drive.csv", robot), robot):
+pass  # the map so far, after every 128 frames
+occupied = grid.probability() > 0.65
+"""
+
+from importlib import import_module, metadata
+from typing import TYPE_CHECKING
+
+__version__ = metadata.version("echogrid")
+
+if TYPE_CHECKING:
+    from echogrid.errors import EchogridError
+    from echogrid.grid import Grid
+    from echogrid.log import Frame, Log
+    from echogrid.mapping import build_map
+    from echogrid.readers import load_log
+    from echogrid.robot import Robot
+    from echogrid.world import World
+
+_HOME = {
+    "EchogridError": "errors",
+    "Frame": "log",
+    "Grid": "grid",
+    "Log": "log",
+    "Robot": "robot",
+    "World": "world",
+    "build_map": "mapping",
+    "load_log": "readers",
+}
+
+__all__ = ["EchogridError", "Frame", "Grid", "Log", "Robot", "World", "build_map", "load_log"]
+
+
+def __getattr__(name: str) -> object:
+    # Names are fetched when they are first used: reading a log must not pay for the start of JAX.
+    if name in _HOME:
+        return getattr(import_module(f"echogrid.{_HOME[name]}"), name)
+    raise AttributeError(f"module 'echogrid' has no attribute {name!r}")

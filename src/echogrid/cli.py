@@ -1,0 +1,347 @@
+"""The command line: the only place that prints."""
+
+import re
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, field, fields
+from importlib import resources
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import tyro
+from jaxtyping import Float
+from numpy import ndarray
+from tqdm import tqdm
+from tyro.conf import Positional
+
+from echogrid import __version__
+from echogrid.acoustics import BEAMS, Physics
+from echogrid.errors import EchogridError, InputError, UsageError
+from echogrid.log import Frame, Log, describe
+from echogrid.readers import load_log
+from echogrid.robot import TRANSDUCERS, Robot, preset_names, robot_yaml
+
+EXIT_ERROR = 2
+
+
+class _Path:
+    """The drive of a log of any length, kept to a bounded number of points for the picture."""
+
+    _MOST = 4000
+
+    def __init__(self) -> None:
+        self._points: list[tuple[float, float]] = []
+        self._spacing = 0.02
+
+    def add(self, frame: Frame) -> None:
+        x, y = float(frame.pose[0]), float(frame.pose[1])
+        if self._points and np.hypot(x - self._points[-1][0], y - self._points[-1][1]) < self._spacing:
+            return
+        self._points.append((x, y))
+        if len(self._points) > self._MOST:
+            self._points = self._points[::2]
+            self._spacing *= 2
+
+    def points(self) -> Float[ndarray, "n 2"]:
+        return np.array(self._points).reshape(-1, 2)
+
+
+@dataclass(frozen=True)
+class Map:
+    """Map a log: sonar ranges and poses in, an occupancy map out.
+
+    Writes map.png (to look at), map.pgm + map.yaml (for ROS map_server), map.npz (log-odds) and run.yaml
+    (what was done). Without LOG it maps the sample that ships with echogrid, a simulated drive of a B21.
+    """
+
+    log: Positional[str | None] = None
+    """CSV or CARMEN log."""
+    robot: str | None = None
+    """Preset or robot file. Default: the robot that the log describes, else b21 if the log has 24 sonars."""
+    out: Path = Path("out")
+    """Folder for the map."""
+    resolution: float = 0.12
+    """Side of a cell of the map, m."""
+    interpreter: str = "network"
+    """``network`` (weights that ship with echogrid), ``cone``, or a weights file."""
+    refine: bool = False
+    """Clean the finished map with a 3x3 neighbourhood mask."""
+
+    def run(self) -> None:
+        """Map the log and write the folder."""
+        from echogrid.interpret import interpreter
+        from echogrid.mapfile import write_map
+        from echogrid.mapping import build_map
+
+        if not 0.005 <= self.resolution <= 10:
+            raise UsageError(f"--resolution: found {self.resolution:g}, expected 0.005 to 10 m")
+        log, robot = _open(self.log, self.robot)
+        model = interpreter(self.interpreter)
+        path, count, grid = _Path(), 0, None
+
+        def frames() -> Iterator[Frame]:
+            nonlocal count
+            for frame in _bar(log, "mapping", "scan"):
+                path.add(frame)
+                count += 1
+                yield frame
+
+        begin = time.perf_counter()
+        for step in build_map(frames(), robot, model, self.resolution):
+            grid = step
+        if grid is None:
+            raise InputError(log.name, "no frames", "at least one")
+        seconds = time.perf_counter() - begin
+        if self.refine:
+            grid = grid.refined()
+        settings = asdict(self) | {"log": log.name, "robot": robot_yaml(robot), "frames": count}
+        recipe = getattr(model, "recipe", None)
+        settings |= {"weights": recipe} if recipe else {}
+        write_map(self.out, grid, path.points(), settings, f"{Path(log.name).name}, {robot.name}, {model.name}")
+        rows, cols = grid.shape
+        size = f"{cols * grid.resolution:.1f} x {rows * grid.resolution:.1f} m"
+        print(f"{log.name}: {count} scans of {robot.name} in {seconds:.1f} s; map of {size} in {self.out}/map.png")
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Drive a robot through a world and write the log, with the truth grid beside it.
+
+    The truth (LOG with the ending .truth.npz) holds what the drive could see up to 1.4 m from its path.
+    """
+
+    world: Positional[str]
+    """World file, or a shipped one: sample, corridor, lab."""
+    robot: str
+    """Preset or robot file."""
+    out: Path
+    """The log to write (CSV)."""
+    drive: str = "auto"
+    """File of waypoints (x,y in m, a line each), or ``auto``: a tour of the whole room."""
+    walls: Literal["smooth", "rough", "as-given"] = "as-given"
+    """Make all walls smooth or rough."""
+    seed: int = 0
+    """The same seed gives the same readings."""
+    physics: Physics = field(default_factory=Physics)
+
+    def run(self) -> None:
+        """Write the log and its truth."""
+        from echogrid.drive import along, read_waypoints, tour, truth_of
+        from echogrid.mapfile import write_truth
+        from echogrid.readers.csv_log import write_csv
+        from echogrid.simulate import Simulator
+        from echogrid.world import World
+
+        _check(self.physics)
+        world, robot = World.load(self.world).with_walls(self.walls), Robot.load(self.robot)
+        if self.drive == "auto":
+            poses = tour(world, robot.footprint_radius_m + 0.1)
+        else:
+            poses = along(read_waypoints(self.drive))
+        poses = np.round(poses, 6)
+        frames = Simulator(world, robot, self.physics).frames(poses, self.seed)
+        rounded = (Frame(round(f.stamp, 3), f.pose, np.round(f.ranges, 4)) for f in frames)
+        write_csv(self.out, _bar(rounded, "simulating", "scan", len(poses)), robot.sonars)
+        truth = self.out.with_suffix(".truth.npz")
+        write_truth(truth, truth_of(world, poses))
+        length = np.sum(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))
+        print(f"{world.name}: {len(poses)} scans of {robot.name} over {length:.1f} m in {self.out}, truth in {truth}")
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Turn one transducer on the spot and record range against orientation, 1 degree apart.
+
+    Writes scan.csv and scan.png: the ranges, and the scan over the plan of the world.
+    """
+
+    world: Positional[str]
+    """World file, or a shipped one."""
+    at: str
+    """Where: X,Y in m."""
+    out: Path = Path("out")
+    """Folder for the scan."""
+    transducer: str = "polaroid-7000"
+    """polaroid-600 or polaroid-7000."""
+    walls: Literal["smooth", "rough", "as-given"] = "as-given"
+    """Make all walls smooth or rough."""
+    max_range: float = 10.0
+    """Longest range, m."""
+    physics: Physics = field(default_factory=Physics)
+
+    def run(self) -> None:
+        """Write the scan."""
+        from echogrid.picture import write_scan
+        from echogrid.simulate import rotary_scan
+        from echogrid.world import World
+
+        _check(self.physics)
+        world = World.load(self.world).with_walls(self.walls)
+        numbers = re.fullmatch(r"\s*([-+.\deE]+)\s*,\s*([-+.\deE]+)\s*", self.at)
+        try:
+            at = (float(numbers[1]), float(numbers[2])) if numbers else None
+        except ValueError:
+            at = None
+        if at is None or not np.all(np.isfinite(at)):
+            raise UsageError(f"--at: found {self.at!r}, expected X,Y in metres")
+        if self.transducer not in TRANSDUCERS:
+            raise UsageError(f"--transducer: found {self.transducer}, expected {' or '.join(TRANSDUCERS)}")
+        bearing, ranges = rotary_scan(world, TRANSDUCERS[self.transducer], self.max_range, at, self.physics)
+        write_scan(self.out, world, at, bearing, ranges, f"{world.name}, {self.transducer}, walls {self.walls}")
+        heard = np.mean(np.isfinite(ranges))
+        print(f"{world.name}: {len(ranges)} bearings, {heard:.0%} with an echo; {self.out}/scan.png, scan.csv")
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train the network for a robot from nothing, simulated drives included.
+
+    Takes up again where it was stopped, from OUT.checkpoint.npz, if the settings are the same.
+    """
+
+    robot: str
+    """Preset, robot file, or ``any``: a new array for each drive, as for the weights that ship."""
+    out: Path
+    """The weights to write (.npz)."""
+    drives: int = 2500
+    """Simulated drives to learn from."""
+    epochs: int = 24
+    """Times to go through them."""
+    seed: int = 1
+    """The same seed gives the same weights."""
+
+    def run(self) -> None:
+        """Write the weights."""
+        from echogrid.train import Recipe, train
+
+        for name in ("drives", "epochs"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"--{name}: found {getattr(self, name)}, expected 1 or more")
+        robot = None if self.robot == "any" else Robot.load(self.robot)
+        begin = time.perf_counter()
+        recipe = Recipe(drives=self.drives, epochs=self.epochs, seed=self.seed)
+        network = train(robot, recipe, self.out, progress=True)
+        minutes = (time.perf_counter() - begin) / 60
+        print(f"{self.out}: trained for {self.robot} in {minutes:.1f} min, loss {network.recipe['losses'][-1]:.4f}")
+
+
+@dataclass(frozen=True)
+class Score:
+    """Score a map against a truth grid.
+
+    found, wiped: surface cells that the map shows, or shows as free; free: free cells shown free; false: free
+    cells shown occupied; auc, nll, brier, ece: how well the probabilities tell surface from free.
+    """
+
+    map: Positional[Path]
+    """Map folder, map.npz or map_server map.yaml."""
+    truth: Positional[Path]
+    """Truth grid (.npz)."""
+
+    def run(self) -> None:
+        """Print the scores."""
+        from echogrid.mapfile import read_map, read_truth
+        from echogrid.metrics import score
+
+        for name, value in asdict(score(read_map(self.map), read_truth(self.truth))).items():
+            print(f"{name:13} {value}" if isinstance(value, int) else f"{name:13} {value:.4f}")
+
+
+@dataclass(frozen=True)
+class Info:
+    """Say what is in a log."""
+
+    log: Positional[Path]
+    """CSV or CARMEN log."""
+    robot: str | None = None
+    """Preset or robot file, for its range limits. Without it, readings count as they are."""
+
+    def run(self) -> None:
+        """Print what is in the log."""
+        log = load_log(self.log, Robot.load(self.robot) if self.robot else None)
+        info = describe(log)
+        x0, y0, x1, y1 = info.box_m
+        print(f"log           {info.name}")
+        print(f"frames        {info.frames}")
+        print(f"sonars        {info.sonars}")
+        rate = f", {(info.frames - 1) / info.span_s:.1f} Hz" if info.span_s > 0 else ""
+        print(f"span          {info.span_s:.2f} s{rate}")
+        print(f"drive         {info.length_m:.2f} m within x {x0:.2f} .. {x1:.2f}, y {y0:.2f} .. {y1:.2f} m")
+        print(f"no echo       {info.no_echo:.1%}")
+        print(f"not fired     {info.not_fired:.1%}")
+        print(f"stale         {info.stale:.1%} of the finite readings repeat the one before")
+        print(f"ranges        {info.nearest_m:.3f} .. {info.farthest_m:.3f} m, median {info.median_m:.2f} m")
+        print("no echo of    " + " ".join(f"r{i} {v:.0%}" for i, v in enumerate(info.no_echo_by_sonar)))
+
+
+Command = Map | Simulate | Scan | Train | Score | Info
+
+COMMANDS: dict[str, Callable[..., Command]] = {
+    "map": Map,
+    "simulate": Simulate,
+    "scan": Scan,
+    "train": Train,
+    "score": Score,
+    "info": Info,
+}
+
+
+def _open(log_file: str | None, robot_name: str | None) -> tuple[Log, Robot]:
+    """The log and the robot to map it with; a robot that nobody named is said."""
+    if log_file is None:
+        robot = Robot.load(robot_name or "b21")
+        return load_log(str(resources.files("echogrid") / "data" / "sample.csv"), robot), robot
+    if robot_name is not None:
+        robot = Robot.load(robot_name)
+        return load_log(log_file, robot), robot
+    log = load_log(log_file)
+    if log.robot is not None:
+        return log, log.robot
+    robot = Robot.load("b21")
+    if log.sonars != robot.sonars:
+        fits = [name for name in preset_names() if Robot.load(name).sonars == log.sonars]
+        known = f" (presets with {log.sonars}: {', '.join(fits)})" if fits else ""
+        raise UsageError(f"{log.name}: found {log.sonars} sonars, expected --robot to say where they sit{known}")
+    print("robot: b21, as none was named", file=sys.stderr)
+    return load_log(log_file, robot), robot
+
+
+def _bar[T](items: Iterable[T], what: str, unit: str, total: int | None = None) -> Iterable[T]:
+    """A progress bar round an iterable; silent where there is no terminal."""
+    return tqdm(items, desc=what, unit=unit, total=total, disable=None, leave=False)
+
+
+def _check(physics: Physics) -> None:
+    if physics.beam not in BEAMS:
+        raise UsageError(f"--physics.beam: found {physics.beam}, expected {', '.join(BEAMS)}")
+    for item in fields(physics):
+        value = getattr(physics, item.name)
+        if item.name != "beam" and not np.isfinite(value):
+            raise UsageError(f"--physics.{item.name.replace('_', '-')}: found {value}, expected a finite number")
+    for name in ("lost", "cross_talk", "stale"):
+        if not 0 <= getattr(physics, name) <= 1:
+            shown = name.replace("_", "-")
+            raise UsageError(f"--physics.{shown}: found {getattr(physics, name):g}, expected a probability")
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run a command; an error that the user can mend is one line and exit status 2."""
+    args = sys.argv[1:] if args is None else args
+    if args in (["--version"], ["-V"]):
+        print(f"echogrid {__version__}")
+        return
+    command = tyro.extras.subcommand_cli_from_dict(
+        COMMANDS, prog="echogrid", description="Occupancy maps from ultrasonic ranges.", args=args
+    )
+    try:
+        command.run()
+    except EchogridError as error:
+        print(f"echogrid: {error}", file=sys.stderr)
+        sys.exit(EXIT_ERROR)
+    except KeyboardInterrupt:
+        print("echogrid: stopped", file=sys.stderr)
+        sys.exit(130)
+    except BrokenPipeError:
+        sys.exit(0)

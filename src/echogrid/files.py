@@ -1,0 +1,62 @@
+"""Writing files whole or not at all.
+
+A module of its own because readers and map files both write, and neither may import the other.
+"""
+
+import os
+import secrets
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from echogrid.errors import UsageError
+
+
+@contextmanager
+def replacing(path: str | Path) -> Generator[Path]:
+    """A new, empty file beside ``path`` that takes its place when the block ends well.
+
+    When the block raises, the new file is removed and what stood at ``path`` is untouched. The temporary
+    name keeps the suffix of ``path``. A link is followed; the permissions are those of any new file.
+
+    Raises:
+        UsageError: something other than a file stands at ``path``, or the system refuses to write (an
+            ``OSError`` of the block counts as that too).
+    """
+    target = Path(os.path.realpath(path))
+    if os.path.exists(target) and not os.path.isfile(target):
+        # A rename would put a plain file in the place of a device such as /dev/null.
+        raise unwritable(path, "a folder" if os.path.isdir(target) else "something that is not a plain file")
+    temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
+    try:
+        temporary.touch(exist_ok=False)
+        yield temporary
+        temporary.replace(target)
+    except OSError as error:
+        raise unwritable(path, error.strerror or str(error)) from error
+    finally:
+        with suppress(OSError):  # it was renamed or never made
+            temporary.unlink()
+
+
+def unwritable(path: str | Path, found: str, expected: str = "a file that can be written") -> UsageError:
+    """The error for a place that cannot be written; its text is one line."""
+    return UsageError(f"{path}: found {found}, expected {expected}")
+
+
+@contextmanager
+def made(folder: Path) -> Generator[None]:
+    """Make a folder and its parents; when the block raises, those that were made and are empty go again."""
+    new = [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        found = "a file" if folder.is_file() else error.strerror or str(error)
+        raise unwritable(folder, found, "a folder that can be written") from None
+    try:
+        yield
+    except BaseException:
+        for each in new:
+            with suppress(OSError):
+                each.rmdir()
+        raise

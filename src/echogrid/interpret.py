@@ -1,0 +1,298 @@
+"""Interpreters: what one scan says of points round the robot. The network and the classical models are peers.
+
+An interpreter is bound to a robot and to the points of its local map once; the bound function is traced by
+JAX and run on batches of scans.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import jax.numpy as jnp
+import numpy as np
+from jax.nn import sigmoid
+from jaxtyping import Array, Bool, Float, Int
+from numpy import ndarray
+
+from echogrid.errors import InputError, UsageError
+from echogrid.files import replacing
+from echogrid.geometry import wrap
+from echogrid.robot import Robot
+
+Bound = Callable[[Float[Array, "scans sonars"]], tuple[Float[Array, "scans points"], Bool[Array, "scans points"]]]
+"""Scans -> occupancy probability of each point under the interpreter's prior, and where the scan spoke at all."""
+
+LOOK_RAD = np.deg2rad(30.0)
+"""A point farther than this off the axes of all sonars that fired is one that no sonar looks at."""
+
+LIMIT = 4.0
+"""Log-odds at which the network's output levels off."""
+
+ZONE = 4
+"""Sonars that the network reads for a point."""
+
+LOCAL_CELLS, LOCAL_CELL_M = 24, 0.12
+"""The paper's local map: 24 x 24 cells of 12 cm, the robot in its middle."""
+
+HALF_M = LOCAL_CELLS * LOCAL_CELL_M / 2
+"""Half the side of the local map: how far the mapper looks to each side."""
+
+_FORMAT = "echogrid-mlp-1"
+
+
+class Interpreter(Protocol):
+    """What the mapper needs of a sensor model."""
+
+    @property
+    def name(self) -> str:
+        """Name for reports."""
+        ...
+
+    @property
+    def prior(self) -> float:
+        """Occupancy probability that the model gives a point of which it knows nothing."""
+        ...
+
+    def bind(self, robot: Robot, p_robot: Float[ndarray, "points 2"]) -> Bound:
+        """Prepare for the points (m, robot frame) of a local map."""
+        ...
+
+
+class Zone(NamedTuple):
+    """The four sonars that look nearest to each point, from right to left as seen along the axes."""
+
+    sonar: Int[ndarray, "*n 4"]
+    """Index of the sonar; -1: the array has fewer than four."""
+    off_axis: Float[ndarray, "*n 4"]
+    """Bearing of the point from the sonar, off its axis, rad; pi for a missing sonar."""
+    distance: Float[ndarray, "*n 4"]
+    """From the sonar to the point, m."""
+
+
+def zone_of(mounts: Float[ndarray, "sonars 3"], p_robot: Float[ndarray, "*n 2"]) -> Zone:
+    """Find the four-sensor zone of points (m) in the frame in which the mounts are given."""
+    to = p_robot[..., None, :] - mounts[:, :2]
+    off_axis = wrap(np.arctan2(to[..., 1], to[..., 0]) - mounts[:, 2])
+    distance = np.hypot(to[..., 0], to[..., 1])
+    missing = ZONE - len(mounts)
+    if missing > 0:
+        pad = [(0, 0)] * (off_axis.ndim - 1) + [(0, missing)]
+        off_axis = np.pad(off_axis, pad, constant_values=np.pi)
+        distance = np.pad(distance, pad, constant_values=1.0)
+    nearest = np.argpartition(np.abs(off_axis), ZONE - 1, axis=-1)[..., :ZONE]
+    # From the sonar that has the point farthest to its left to the one that has it farthest to its right.
+    order = np.argsort(np.take_along_axis(-off_axis, nearest, axis=-1), axis=-1)
+    nearest = np.take_along_axis(nearest, order, axis=-1)
+    return Zone(
+        np.where(nearest < len(mounts), nearest, -1),
+        np.take_along_axis(off_axis, nearest, axis=-1),
+        np.take_along_axis(distance, nearest, axis=-1),
+    )
+
+
+def reading_features(reading: Float[Array, "*n 4"]) -> Float[Array, "*n 12"]:
+    """What the network is told of the readings (m) of a zone: echo or no echo, and the range.
+
+    A sonar that did not fire is neither; ranges far beyond the local map are all alike.
+    """
+    echo = jnp.isfinite(reading)
+    coded = [echo, jnp.isinf(reading), jnp.where(echo, jnp.minimum(reading, 4.0) / 2, 0.0)]
+    return jnp.concatenate(coded, axis=-1, dtype=jnp.float32)
+
+
+def beyond_features(reading: Float[Array, "*n 4"], distance: Float[Array | ndarray, "*#n 4"]) -> Float[Array, "*n 8"]:
+    """How far each echo lies beyond the point, coarse and fine; 0 without an echo."""
+    echo = jnp.isfinite(reading)
+    beyond = jnp.where(echo, reading, 0.0) - distance
+    coarse = jnp.where(echo, jnp.clip(beyond / 0.6, -1.0, 1.0), 0.0)
+    fine = jnp.where(echo, jnp.maximum(0.0, 1.0 - jnp.abs(beyond) / 0.2), 0.0)
+    return jnp.concatenate([coarse, fine], axis=-1)
+
+
+def place_features(
+    off_axis: Float[Array | ndarray, "*n 4"], distance: Float[Array | ndarray, "*n 4"]
+) -> Float[Array, "*n 5"]:
+    """Where the point lies in its zone: its bearing off each axis, and its distance."""
+    mean = jnp.mean(distance, axis=-1, keepdims=True)
+    return jnp.concatenate([jnp.clip(off_axis / 0.8, -2.0, 2.0), mean], axis=-1)
+
+
+INPUTS = 25
+"""The network's inputs: those of the readings, of what lies beyond, and of the place, in this order."""
+
+
+Layers = list[tuple[Float[Array | ndarray, "fan_in fan_out"], Float[Array | ndarray, "fan_out"]]]
+
+
+def forward(layers: Layers, x: Float[Array, "*n fan_in"]) -> Float[Array, "*n"]:
+    """The multilayer perceptron: log-odds that a point is occupied, under the training prior."""
+    w, b = layers[0]
+    return after_first(layers, x @ w + b)
+
+
+def after_first(layers: Layers, x: Float[Array, "*n hidden"]) -> Float[Array, "*n"]:
+    """The perceptron from the sums of its first layer on. Its output levels off at LIMIT: no look is certain."""
+    for w, b in layers[1:-1]:
+        x = jnp.maximum(x, 0.0) @ w + b
+    w, b = layers[-1]
+    x = jnp.maximum(x, 0.0)
+    return LIMIT * jnp.tanh((x @ w + b)[..., 0] / LIMIT)
+
+
+def look(
+    layers: Layers,
+    prior: float,
+    reading: Float[Array, "*n 4"],
+    off_axis: Float[Array, "*n 4"],
+    distance: Float[Array, "*n 4"],
+) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
+    """Occupancy probability of points under the training prior, and whether a sonar that fired looks at them.
+
+    Where none looks the probability is the prior itself.
+    """
+    coded = [
+        reading_features(reading),
+        beyond_features(reading, distance),
+        place_features(off_axis, distance),
+    ]
+    p = sigmoid(forward(layers, jnp.concatenate(coded, axis=-1)))
+    spoken = looked_at(reading, off_axis)
+    return jnp.where(spoken, p, prior), spoken
+
+
+def looked_at(reading: Float[Array, "*n 4"], off_axis: Float[Array | ndarray, "*#n 4"]) -> Bool[Array, "*n"]:
+    """Whether a sonar of the zone that fired looks at the point."""
+    return jnp.any(~jnp.isnan(reading) & (jnp.abs(off_axis) <= LOOK_RAD), axis=-1)
+
+
+@dataclass(frozen=True)
+class Network:
+    """The paper's multilayer perceptron over the four-sensor zone, with its weights."""
+
+    layers: Layers
+    """Weights and biases: input -> two hidden layers (ReLU) -> log-odds."""
+    prior: float
+    """Share of occupied points that it was trained under; subtracted from each view by the mapper."""
+    recipe: dict[str, Any]
+    """How the weights were made."""
+    name: str = "network"
+
+    def bind(self, robot: Robot, p_robot: Float[ndarray, "points 2"]) -> Bound:
+        """Prepare for the points (m, robot frame) of a local map; see ``Interpreter``."""
+        zone = zone_of(robot.mounts, p_robot)
+        off_axis, distance = zone.off_axis.astype(np.float32), zone.distance.astype(np.float32)
+        # A missing sonar reads as one that did not fire: a column of nan behind the last sonar.
+        sonar = np.where(zone.sonar >= 0, zone.sonar, robot.sonars)
+        # The first layer is a sum: the part of the place is fixed, the part of the readings is the same for
+        # all points that share a zone, and only what lies beyond differs from point to point.
+        zones, zone_of_point = np.unique(sonar, axis=0, return_inverse=True)
+        w, b = self.layers[0]
+        place = place_features(off_axis, distance) @ w[20:] + b
+        zone_of_point = zone_of_point.ravel()
+
+        def interpret(ranges: Float[Array, "scans sonars"]):
+            padded = jnp.pad(ranges, [(0, 0), (0, 1)], constant_values=jnp.nan)
+            reading = padded[:, sonar]
+            shared = reading_features(padded[:, zones]) @ w[:12]
+            sums = beyond_features(reading, distance) @ w[12:20] + shared[:, zone_of_point] + place
+            spoken = looked_at(reading, off_axis)
+            return jnp.where(spoken, sigmoid(after_first(self.layers, sums)), self.prior), spoken
+
+        return interpret
+
+    def save(self, path: str | Path) -> None:
+        """Write the weights and their recipe (NPZ, no pickle)."""
+        arrays = {f"{k}{i}": np.asarray(v) for i, wb in enumerate(self.layers) for k, v in zip("wb", wb, strict=True)}
+        with replacing(Path(path)) as temporary, temporary.open("wb") as file:
+            np.savez(
+                file, allow_pickle=False, format=_FORMAT, prior=self.prior, recipe=json.dumps(self.recipe), **arrays
+            )
+
+    @staticmethod
+    def load(path: str | Path) -> "Network":
+        """Read weights.
+
+        Raises:
+            InputError: not a weights file of this format.
+        """
+        expected = f"a weights file ({_FORMAT}, made by echogrid train)"
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                if str(data["format"]) == _FORMAT:
+                    count = sum(key.startswith("w") for key in data.files)
+                    layers = [(data[f"w{i}"], data[f"b{i}"]) for i in range(count)]
+                    prior, recipe = float(data["prior"]), json.loads(str(data["recipe"]))
+                else:
+                    layers, prior, recipe = [], 0.0, {}
+        except FileNotFoundError:
+            raise UsageError(f"weights: found no file {path}, expected {expected}") from None
+        except Exception as error:  # numpy and zipfile raise many kinds for a damaged file
+            raise InputError(path, f"no such file content ({type(error).__name__})", expected) from None
+        sizes = [INPUTS, *(w.shape[-1] for w, _ in layers)]
+        fits = len(layers) == 3 and sizes[-1] == 1 and 0 < prior < 1
+        for i, (w, b) in enumerate(layers):
+            fits = fits and w.shape == (sizes[i], sizes[i + 1]) and b.shape == (sizes[i + 1],)
+            fits = fits and bool(np.isfinite(w).all() and np.isfinite(b).all())
+        if not fits:
+            raise InputError(path, f"layers {sizes}", f"two hidden layers from {INPUTS} inputs to 1 output")
+        return Network(layers, prior, recipe, Path(path).stem)
+
+
+@dataclass(frozen=True)
+class Cone:
+    """The simple inverse model of Probabilistic Robotics, table 9.2; readings without echo are ignored."""
+
+    p_occupied: float = 0.7
+    p_free: float = 0.35
+    thickness_m: float = 0.24
+    """Depth of the arc that is called occupied (alpha)."""
+    name: str = "cone"
+    prior: float = 0.5
+
+    def bind(self, robot: Robot, p_robot: Float[ndarray, "points 2"]) -> Bound:
+        """Prepare for the points (m, robot frame) of a local map; see ``Interpreter``."""
+        zone = zone_of(robot.mounts, p_robot)
+        first = np.argmin(np.abs(zone.off_axis), axis=-1)[:, None]
+        sonar = np.take_along_axis(zone.sonar, first, axis=-1)[:, 0]
+        distance = np.take_along_axis(zone.distance, first, axis=-1)[:, 0].astype(np.float32)
+        inside = np.abs(np.take_along_axis(zone.off_axis, first, axis=-1)[:, 0]) <= robot.beam_width_rad / 2
+
+        def interpret(ranges: Float[Array, "scans sonars"]):
+            reading = ranges[:, sonar]
+            half = self.thickness_m / 2
+            spoken = inside & jnp.isfinite(reading) & (distance <= reading + half)
+            told = jnp.where(jnp.abs(distance - reading) < half, self.p_occupied, self.p_free)
+            return jnp.where(spoken, told, self.prior), spoken
+
+        return interpret
+
+
+def _shipped() -> Network:
+    return replace(Network.load(str(resources.files("echogrid") / "weights" / "any.npz")), name="network")
+
+
+INTERPRETERS: dict[str, Callable[[], Interpreter]] = {
+    "network": lambda: replace(
+        Network.load(str(resources.files("echogrid") / "weights" / "any.npz")), name="network"
+    ),
+    "cone": Cone,
+}
+"""Interpreters by name; ``network`` has the weights that ship with the package."""
+
+
+def interpreter(name_or_weights: str) -> Interpreter:
+    """An interpreter by name, or the network with weights from a file.
+
+    Raises:
+        InputError: the file is not a weights file.
+        UsageError: neither a name nor a file.
+    """
+    if name_or_weights in INTERPRETERS:
+        return INTERPRETERS[name_or_weights]()
+    if not Path(name_or_weights).exists():
+        known = ", ".join(INTERPRETERS)
+        raise UsageError(f"interpreter: found {name_or_weights}, expected {known} or a weights file")
+    return Network.load(name_or_weights)

@@ -1,0 +1,220 @@
+"""From frames to the map: the local map of each scan, its place in the world (eq. 4), and Bayes' rule."""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import batched
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from numpy import ndarray
+
+from echogrid.errors import UsageError
+from echogrid.grid import Grid, GrowingGrid, logit
+from echogrid.interpret import LOCAL_CELL_M, LOCAL_CELLS, Interpreter, interpreter
+from echogrid.log import Frame
+from echogrid.robot import Robot
+
+ROBOT_CELLS = 4
+"""The robot stands in the central 4 x 4 cells of the local map."""
+
+P_UNDER_ROBOT = 0.1
+"""Occupancy probability of the cells in which the robot stands."""
+
+P_VIEW_MIN, P_VIEW_MAX = 0.02, 0.98
+"""No single view is taken to be more certain than this."""
+
+BATCH = 64
+"""Scans that are interpreted together; few enough to stay in the cache."""
+
+WORKERS = 2
+"""Batches that are interpreted side by side."""
+
+
+class LocalMap(NamedTuple):
+    """What each scan of a batch says of the square round the robot; cells [row, col], row 0 the lowest y."""
+
+    probability: Float[Array, "scans 24 24"]
+    spoken: Bool[Array, "scans 24 24"]
+    """Where the scan says anything; elsewhere the probability is the interpreter's prior."""
+
+
+def local_cells() -> Float[ndarray, "576 2"]:
+    """Centres of the local map's cells in the robot's frame (m), row by row from the lowest y."""
+    axis = (np.arange(LOCAL_CELLS) + 0.5 - LOCAL_CELLS / 2) * LOCAL_CELL_M
+    x, y = np.meshgrid(axis, axis)
+    return np.column_stack([x.ravel(), y.ravel()])
+
+
+def local_mapper(robot: Robot, model: Interpreter) -> Callable[[Float[Array, "scans sonars"]], LocalMap]:
+    """The function that turns scans (m) into local maps: one question to the interpreter for each cell."""
+    cells = local_cells()
+    ask = model.bind(robot, cells)
+    middle = np.max(np.abs(cells), axis=1) < ROBOT_CELLS / 2 * LOCAL_CELL_M
+    under = middle & (np.hypot(*cells.T) < robot.footprint_radius_m)
+    # The floor under the robot is free under the interpreter's prior as well.
+    p_under = 1 / (1 + np.exp(-(logit(P_UNDER_ROBOT) + logit(model.prior))))
+
+    def look(ranges: Float[Array, "scans sonars"]) -> LocalMap:
+        probability, spoken = ask(ranges)
+        probability = jnp.where(under, p_under, probability)
+        shape = (-1, LOCAL_CELLS, LOCAL_CELLS)
+        return LocalMap(probability.reshape(shape), (spoken | under).reshape(shape))
+
+    return look
+
+
+def surrounding(
+    at: Float[Array, "*n 2"],
+) -> tuple[Int[Array, "*n 4"], Float[Array, "*n 4"], Bool[Array, "*n"]]:
+    """The four local cells whose centres surround each point, their weights by eq. 4, and whether there are four.
+
+    Args:
+        at: x, y in the robot's frame in cells, counted from the centre of the first cell.
+
+    Returns:
+        Flat indices of the cells; weights 1/distance that sum to 1 (at a centre that cell alone); whether
+        the point lies within the outermost centres.
+    """
+    low = jnp.clip(jnp.floor(at), 0, LOCAL_CELLS - 2)
+    part = at - low
+    inside = jnp.all((part >= 0) & (part <= 1), axis=-1)
+    first = (low[..., 1] * LOCAL_CELLS + low[..., 0]).astype(jnp.int32)
+    u, v = part[..., :1], part[..., 1:]
+    du, dv = jnp.array([0, 1, 0, 1]), jnp.array([0, 0, 1, 1])
+    near = jax.lax.rsqrt((u - du) ** 2 + (v - dv) ** 2 + 1e-12)
+    return first[..., None] + du + LOCAL_CELLS * dv, near / jnp.sum(near, axis=-1, keepdims=True), inside
+
+
+def in_cells(p_robot: Float[Array | ndarray, "*n 2"]) -> Float[Array, "*n 2"]:
+    """Points (m, robot frame; x, y in the last axis) in the units of ``surrounding``."""
+    return jnp.asarray(p_robot) / LOCAL_CELL_M + (LOCAL_CELLS - 1) / 2
+
+
+def resample(local: LocalMap, at: Float[Array, "scans points 2"]) -> Float[Array, "scans points"]:
+    """Occupancy probability of points from the local map by eq. 4, nan where the local map says nothing.
+
+    It speaks of a point that lies among four local centres, at least one of which is spoken of.
+
+    Args:
+        local: the local maps.
+        at: points in each map, as for ``surrounding``.
+    """
+    # Whether a cell is spoken of rides with its probability, 4 below it if not: one gather serves both.
+    coded = jnp.where(local.spoken, local.probability, local.probability - 4.0).reshape(-1)
+    # Without the barrier the compiler works the network out again for each of the four cells.
+    coded, at = jax.lax.optimization_barrier((coded, at))
+    cell, weight, inside = surrounding(at)
+    offset = jnp.arange(cell.shape[0], dtype=jnp.int32) * LOCAL_CELLS**2
+    near = [coded.at[cell[..., k] + offset[:, None]].get(mode="promise_in_bounds") for k in range(cell.shape[-1])]
+    spoken = [value > -1.0 for value in near]
+    terms = [weight[..., k] * jnp.where(spoken[k], near[k], near[k] + 4.0) for k in range(len(near))]
+    return jnp.where(inside & (spoken[0] | spoken[1] | spoken[2] | spoken[3]), sum(terms), jnp.nan)
+
+
+def _patch_side(resolution: float) -> int:
+    """Cells of the global map that hold all points among local centres, however the local map is turned."""
+    return int(np.ceil((LOCAL_CELLS - 1) * LOCAL_CELL_M * np.sqrt(2) / resolution)) + 2
+
+
+Patcher = Callable[
+    [Float[ndarray, "scans sonars"], Float[ndarray, "scans 2"], Float[ndarray, "scans"]],
+    Float[Array, "scans side side"],
+]
+
+
+def _patcher(robot: Robot, model: Interpreter, resolution: float) -> Patcher:
+    look = local_mapper(robot, model)
+    side = _patch_side(resolution)
+    steps = jnp.arange(side) * resolution
+    prior = float(logit(model.prior))
+
+    @jax.jit
+    def patches(ranges, corner, theta):
+        """Evidence of scans (m) on patches of the global map, nan where a scan says nothing.
+
+        ``corner``: centre of each patch's first cell relative to the robot, m, world axes; ``theta``: rad.
+        """
+        x = corner[:, 0, None, None] + steps[None, None, :]
+        y = corner[:, 1, None, None] + steps[None, :, None]
+        cos, sin = jnp.cos(theta)[:, None, None], jnp.sin(theta)[:, None, None]
+        p_robot = jnp.stack([cos * x + sin * y, cos * y - sin * x], axis=-1).reshape(len(ranges), -1, 2)
+        p = jnp.clip(resample(look(ranges), in_cells(p_robot)), P_VIEW_MIN, P_VIEW_MAX)
+        return (jnp.log(p / (1 - p)) - prior).reshape(-1, side, side)
+
+    return patches
+
+
+def build_map(
+    frames: Iterable[Frame],
+    robot: Robot,
+    model: Interpreter | str = "network",
+    resolution: float = LOCAL_CELL_M,
+) -> Iterator[Grid]:
+    """Fuse the frames of a drive into a global map that grows as the robot drives.
+
+    Args:
+        frames: a log; each frame is read once and not kept.
+        robot: the robot that drove; its mounts are in the order of the readings.
+        model: an interpreter, or its name.
+        resolution: side of a global cell, m.
+
+    Yields:
+        The map so far, after each batch of frames: views of the growing arrays, not copies.
+
+    Raises:
+        UsageError: the frames do not fit the robot, or the map would become too large.
+    """
+    if isinstance(model, str):
+        model = interpreter(model)
+    patches = _patcher(robot, model, resolution)
+    grown = GrowingGrid(resolution)
+    with ThreadPoolExecutor(WORKERS) as pool:
+        waiting: deque[Future[_Evidence]] = deque()
+        for batch in batched(frames, BATCH):
+            waiting.append(pool.submit(_interpret, batch, robot, patches, resolution))
+            # Batches are interpreted side by side, and fused in their order.
+            if len(waiting) > WORKERS:
+                yield _fuse(grown, waiting.popleft().result())
+        while waiting:
+            yield _fuse(grown, waiting.popleft().result())
+
+
+class _Evidence(NamedTuple):
+    """What a batch of scans adds to the global map."""
+
+    corner: Int[ndarray, "scans 2"]
+    """Global cell [row, col] of each patch's first cell."""
+    log_odds: Float[ndarray, "scans side side"]
+    """0 where nothing is said."""
+    spoken: Bool[ndarray, "scans side side"]
+
+
+def _interpret(batch: tuple[Frame, ...], robot: Robot, patches: Patcher, resolution: float) -> _Evidence:
+    if any(len(frame.ranges) != robot.sonars for frame in batch):
+        found = next(len(frame.ranges) for frame in batch if len(frame.ranges) != robot.sonars)
+        raise UsageError(f"map: found a frame of {found} readings, expected {robot.sonars} (robot {robot.name})")
+    count = len(batch)
+    poses = np.array([frame.pose for frame in batch])
+    # The last batch is filled up, so that one compilation serves all.
+    ranges = np.full((BATCH, robot.sonars), np.nan, dtype=np.float32)
+    ranges[:count] = [frame.ranges for frame in batch]
+    first = np.floor(poses[:, :2] / resolution).astype(np.int64) - _patch_side(resolution) // 2
+    corner = np.zeros((BATCH, 2), dtype=np.float32)
+    corner[:count] = (first + 0.5) * resolution - poses[:, :2]
+    theta = np.zeros(BATCH, dtype=np.float32)
+    theta[:count] = np.mod(poses[:, 2], 2 * np.pi)
+    evidence = np.asarray(patches(ranges, corner, theta))[:count]
+    spoken = ~np.isnan(evidence)
+    return _Evidence(first[:, ::-1], np.where(spoken, evidence, np.float32(0)), spoken)
+
+
+def _fuse(grown: GrowingGrid, evidence: _Evidence) -> Grid:
+    side = evidence.log_odds.shape[1]
+    grown.reserve(evidence.corner.min(axis=0), evidence.corner.max(axis=0) + side)
+    for corner, log_odds, spoken in zip(*evidence, strict=True):
+        grown.fuse(corner, log_odds, spoken)
+    return grown.grid()

@@ -1,0 +1,269 @@
+"""Robots and their transducers: what they are, and the YAML files that describe them."""
+
+import re
+import reprlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from jaxtyping import Float
+from numpy import ndarray
+
+from echogrid.errors import InputError, UsageError
+
+MAX_SONARS = 512
+
+
+@dataclass(frozen=True)
+class Transducer:
+    """An ultrasonic transducer as a circular piston driven with a tone burst."""
+
+    name: str
+    frequency_hz: float
+    aperture_radius_m: float
+    """Radius of the radiating disc."""
+    cycles: int = 16
+    """Length of the burst in periods (Polaroid 6500 module: 16)."""
+
+
+TRANSDUCERS = {
+    # a = 18.4 mm reproduces both published beam widths of the 600 (12 deg at -3 dB, 15 deg at -6 dB).
+    "polaroid-600": Transducer("polaroid-600", 49_400.0, 0.0184),
+    # The aperture of the 7000 is not published; 12.9 mm is assumed (it is a smaller head with a wider beam).
+    "polaroid-7000": Transducer("polaroid-7000", 52_000.0, 0.0129),
+}
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot as the mapper needs it: where its sonars sit and what they can say."""
+
+    name: str
+    footprint_radius_m: float
+    """Radius of the disc round the origin that the robot covers."""
+    transducer: Transducer
+    min_range_m: float
+    """Shorter readings are not valid."""
+    max_range_m: float
+    """A reading at or past this is no echo."""
+    beam_width_rad: float
+    """Full width of the cone in which a sonar is taken to see."""
+    mounts: Float[ndarray, "sonars 3"]
+    """x forward (m), y left (m), axis (rad, counter-clockwise from forward), in the robot's frame."""
+
+    @property
+    def sonars(self) -> int:
+        """Number of sonars."""
+        return len(self.mounts)
+
+    def clean(self, ranges: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
+        """Apply the no-echo rule: at or past the maximum range -> +inf, below the minimum range -> nan."""
+        ranges = np.where(ranges >= self.max_range_m, np.inf, ranges)
+        return np.where(ranges < self.min_range_m, np.nan, ranges)
+
+    @staticmethod
+    def load(name_or_file: str | Path) -> "Robot":
+        """A preset by name, or a robot file.
+
+        Raises:
+            InputError: the file is wrong; the message names the key.
+            UsageError: neither a preset nor a file.
+        """
+        presets = preset_names()
+        if str(name_or_file) in presets:
+            source = resources.files("echogrid") / "robots" / f"{name_or_file}.yaml"
+            return parse_robot(source.read_text(encoding="utf-8"), str(name_or_file))
+        path = Path(name_or_file)
+        if path.is_dir():
+            raise InputError(path, "a directory", "a robot file (YAML)")
+        try:
+            text = path.read_text(encoding="utf-8")
+        except FileNotFoundError:
+            known = ", ".join(presets)
+            raise UsageError(f"robot: found {name_or_file!s}, expected a file or one of {known}") from None
+        except UnicodeDecodeError:
+            raise InputError(path, "bytes that are not UTF-8 text", "a robot file (YAML)") from None
+        except OSError as error:
+            raise InputError(path, error.strerror or "an unreadable file", "a robot file (YAML)") from None
+        return parse_robot(text, str(path))
+
+
+def preset_names() -> list[str]:
+    """Names of the robots that ship with the package."""
+    folder = resources.files("echogrid") / "robots"
+    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+
+
+def parse_yaml(text: str, where: str) -> dict[str, Any]:
+    """Parse YAML whose top level is a mapping with text keys.
+
+    Raises:
+        InputError: not YAML, or not such a mapping; the message carries the line.
+    """
+    try:
+        data = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f":{mark.line + 1}" if mark else ""
+        problem = str(getattr(error, "problem", None) or "text that is not YAML").removeprefix("found ")
+        raise InputError(f"{where}{line}", problem, "YAML") from None
+    except Exception:  # PyYAML lets out errors of many kinds for tags whose value does not fit
+        raise InputError(where, "a value that does not fit its tag, or nested too deep", "YAML") from None
+    if not isinstance(data, dict):
+        raise InputError(where, _show(data), "a mapping of keys to values")
+    return data
+
+
+class Keys:
+    """Typed access to a parsed mapping; every failure names the file and the key."""
+
+    def __init__(self, where: str, data: object, prefix: str = "", allowed: frozenset[str] | None = None):
+        if not isinstance(data, Mapping):
+            raise InputError(f"{where}: {prefix}".removesuffix(": "), _show(data), "a mapping")
+        self.where, self.data, self.prefix = where, data, prefix
+        unknown = [key for key in data if allowed is not None and key not in allowed]
+        if unknown:
+            raise InputError(self.at(str(unknown[0])), "an unknown key", f"one of {', '.join(sorted(allowed or ()))}")
+
+    def at(self, key: str) -> str:
+        """The place of a key, for a message."""
+        return f"{self.where}: {self.prefix}.{key}" if self.prefix else f"{self.where}: {key}"
+
+    def take(self, key: str) -> Any:
+        """The value of a key that must be there."""
+        if key not in self.data:
+            raise InputError(self.at(key), "nothing", "this key")
+        return self.data[key]
+
+    def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
+        """A number in [low, high]."""
+        if default is not None and key not in self.data:
+            return default
+        return as_number(self.take(key), low, high, self.at(key))
+
+    def text(self, key: str) -> str:
+        """A text that is not empty."""
+        value = self.take(key)
+        if not isinstance(value, str) or not value:
+            raise InputError(self.at(key), _show(value), "a text")
+        return value
+
+    def rows(self, key: str, width: int, low: float, high: float, least: int = 1) -> Float[ndarray, "n width"]:
+        """A list of at least ``least`` rows of ``width`` numbers in [low, high]."""
+        value = self.take(key)
+        if not isinstance(value, list) or len(value) < least:
+            raise InputError(self.at(key), _show(value), f"a list of {least} or more rows")
+        for i, row in enumerate(value):
+            if not isinstance(row, list) or len(row) != width:
+                raise InputError(f"{self.at(key)}[{i}]", _show(row), f"{width} numbers")
+        return np.array(
+            [[as_number(v, low, high, f"{self.at(key)}[{i}]") for v in row] for i, row in enumerate(value)]
+        )
+
+
+def as_number(value: object, low: float, high: float, where: str) -> float:
+    """A finite number in [low, high], or an InputError that names the place."""
+    if isinstance(value, str) and re.fullmatch(r"[-+]?\d+[eE][-+]?\d+", value):
+        value = float(value)  # YAML 1.1 takes 1e-1 for a text
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(where, _show(value), "a number")
+    if not low <= value <= high:
+        raise InputError(where, _show(value), f"a number from {low:g} to {high:g}")
+    return float(value)
+
+
+def _show(value: object) -> str:
+    return "nothing" if value is None else reprlib.repr(value)
+
+
+def parse_robot(text: str, where: str) -> Robot:
+    """Read a robot from YAML text (the format is in docs/formats.md).
+
+    Raises:
+        InputError: the message names the key.
+    """
+    allowed = frozenset({"name", "description", "footprint_radius_m", "sonar", "mounts"})
+    top = Keys(where, parse_yaml(text, where), allowed=allowed)
+    sonar = Keys(
+        where,
+        top.take("sonar"),
+        "sonar",
+        frozenset(
+            {
+                "transducer",
+                "frequency_hz",
+                "aperture_radius_m",
+                "cycles",
+                "min_range_m",
+                "max_range_m",
+                "beam_width_deg",
+            }
+        ),
+    )
+    min_range = sonar.number("min_range_m", 0.0, 10.0)
+    max_range = sonar.number("max_range_m", 0.0, 100.0)
+    if max_range <= min_range:
+        raise InputError(sonar.at("max_range_m"), f"{max_range:g}", f"more than min_range_m ({min_range:g})")
+    mounts = top.rows("mounts", 3, -1000.0, 1000.0)
+    if len(mounts) > MAX_SONARS:
+        raise InputError(top.at("mounts"), f"{len(mounts)} rows", f"at most {MAX_SONARS}")
+    far = np.flatnonzero(np.max(np.abs(mounts[:, :2]), axis=1) > 10.0)
+    if far.size:
+        raise InputError(f"{top.at('mounts')}[{far[0]}]", _show(mounts[far[0]].tolist()), "x and y within 10 m")
+    mounts[:, 2] = np.deg2rad(mounts[:, 2])
+    return Robot(
+        name=top.text("name"),
+        footprint_radius_m=top.number("footprint_radius_m", 0.0, 10.0),
+        transducer=_transducer(sonar),
+        min_range_m=min_range,
+        max_range_m=max_range,
+        beam_width_rad=float(np.deg2rad(sonar.number("beam_width_deg", 1.0, 180.0))),
+        mounts=mounts,
+    )
+
+
+def _transducer(sonar: Keys) -> Transducer:
+    if "transducer" in sonar.data:
+        name = sonar.text("transducer")
+        if name not in TRANSDUCERS:
+            raise InputError(sonar.at("transducer"), name, f"one of {', '.join(TRANSDUCERS)}")
+        return TRANSDUCERS[name]
+    return Transducer(
+        "custom",
+        sonar.number("frequency_hz", 1e3, 1e6),
+        sonar.number("aperture_radius_m", 1e-3, 0.5),
+        int(sonar.number("cycles", 1, 1000, default=16)),
+    )
+
+
+def robot_yaml(robot: Robot) -> str:
+    """The robot as the text of a robot file; ``parse_robot`` reads the same robot back (to 1e-6)."""
+    transducer = robot.transducer
+    sonar: dict[str, Any] = (
+        {"transducer": transducer.name}
+        if TRANSDUCERS.get(transducer.name) == transducer
+        else {
+            "frequency_hz": transducer.frequency_hz,
+            "aperture_radius_m": transducer.aperture_radius_m,
+            "cycles": transducer.cycles,
+        }
+    )
+    sonar |= {
+        "min_range_m": robot.min_range_m,
+        "max_range_m": robot.max_range_m,
+        "beam_width_deg": round(float(np.rad2deg(robot.beam_width_rad)), 6),
+    }
+    mounts = [
+        [round(float(x), 6), round(float(y), 6), round(float(np.rad2deg(axis)), 6)] for x, y, axis in robot.mounts
+    ]
+    top = {
+        "name": robot.name,
+        "footprint_radius_m": robot.footprint_radius_m,
+        "sonar": sonar,
+        "mounts": mounts,
+    }
+    return yaml.safe_dump(top, sort_keys=False, default_flow_style=None, width=100)

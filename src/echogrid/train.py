@@ -1,0 +1,212 @@
+"""Training the network by back-propagation, with checkpoints.
+
+The network answers each look by itself. The loss asks that each answer is right (the paper's training) and that
+their sum in log-odds, which is what the map will hold, is right: so the network learns how much its views repeat
+each other.
+"""
+
+import hashlib
+import json
+import zipfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float
+from numpy import ndarray
+from tqdm import tqdm
+
+from echogrid import __version__
+from echogrid.errors import UsageError
+from echogrid.examples import POINTS, Examples, generate
+from echogrid.files import replacing
+from echogrid.grid import logit
+from echogrid.interpret import INPUTS, Layers, Network, look
+from echogrid.mapping import surrounding
+from echogrid.metrics import FREE, HIDDEN, SURFACE
+from echogrid.robot import Robot, robot_yaml
+
+PRIOR = 0.15
+"""Share of surface among the points that single looks are trained on, about that of a local map."""
+
+REPEAT = 8.0
+"""Looks come up to so often: training drives are short, and a robot that drives slowly sees all more often."""
+
+HIDDEN_WEIGHT = 0.15
+"""Weight of hidden points in the loss; surface and free points have 1 each."""
+
+SINGLE_WEIGHT = 0.2
+"""Weight of the single looks beside the fused map."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """All that decides the weights, with the robot."""
+
+    drives: int = 3000
+    epochs: int = 24
+    hidden: tuple[int, int] = (32, 16)
+    """Units of the two hidden layers."""
+    batch: int = 12
+    """Drives in a step of the optimiser."""
+    learning_rate: float = 4e-3
+    seed: int = 1
+
+
+def initial(rng: np.random.Generator, hidden: tuple[int, int]) -> Layers:
+    """Random layers of the right scale for ReLU units; the output begins at zero."""
+    sizes = [INPUTS, *hidden, 1]
+    gain = [np.sqrt(2.0 / n) for n in sizes[:-2]] + [0.1]
+    return [
+        ((g * rng.standard_normal((m, n))).astype(np.float32), np.zeros(n, dtype=np.float32))
+        for g, m, n in zip(gain, sizes[:-1], sizes[1:], strict=True)
+    ]
+
+
+def _mirrored(x: Float[Array, "*n 4"], flip: Array, sign: float) -> Float[Array, "*n 4"]:
+    return jnp.where(flip, sign * x[..., ::-1], x)
+
+
+def loss(layers: Layers, batch: Examples, prior: float, flip: Array, repeat: Array) -> Array:
+    """Cross-entropy of single looks and of the fused map, surface and free points weighing the same.
+
+    Hidden points are to stay at 0.5. For each drive, ``flip`` (bool) mirrors left and right, and ``repeat``
+    (at least 1) says how often each look comes again, as it does when a robot drives slowly.
+    """
+    drive = jnp.arange(len(batch.label))[:, None, None, None]
+    cell, share_of_cell, _ = surrounding(jnp.asarray(batch.at, jnp.float32))
+    there = batch.frame >= 0
+    reading = batch.ranges[drive[..., None], batch.frame[..., None, None], batch.sonar[drive, cell]]
+    flip = flip[:, None, None, None, None]
+    reading = _mirrored(reading.astype(jnp.float32), flip, 1.0)
+    off_axis = _mirrored(batch.off_axis[drive, cell].astype(jnp.float32), flip, -1.0)
+    distance = _mirrored(batch.distance[drive, cell].astype(jnp.float32), flip, 1.0)
+    p = jnp.sum(share_of_cell * look(layers, prior, reading, off_axis, distance)[0], axis=-1)
+    z = jnp.log(p) - jnp.log1p(-p)
+    evidence = jnp.where(there, z - logit(prior), 0.0)
+    target = jnp.where(batch.label == SURFACE, 1.0, jnp.where(batch.label == FREE, 0.0, 0.5))
+    share = jnp.where(batch.label == SURFACE, 1 / POINTS[0], 1 / (POINTS[1] + POINTS[2]))
+    weight = jnp.where(batch.label == HIDDEN, HIDDEN_WEIGHT / POINTS[3], share)
+    fused = optax.sigmoid_binary_cross_entropy(repeat[:, None] * jnp.sum(evidence, axis=-1), target)
+    seen = jnp.any(there, axis=-1)
+    map_loss = jnp.sum(weight * seen * fused) / jnp.sum(weight * seen)
+    # Single looks keep the training prior: surface points weigh as the prior has them.
+    single_target = jnp.where(batch.label == HIDDEN, prior, target)[..., None]
+    share = jnp.where(batch.label == SURFACE, prior / POINTS[0], (1 - prior) / (POINTS[1] + POINTS[2]))
+    weight = jnp.where(batch.label == HIDDEN, HIDDEN_WEIGHT / POINTS[3], share)[..., None]
+    single = optax.sigmoid_binary_cross_entropy(z, jnp.broadcast_to(single_target, z.shape))
+    single_loss = jnp.sum(weight * there * single) / jnp.sum(weight * there)
+    return map_loss + SINGLE_WEIGHT * single_loss
+
+
+def _schedule(recipe: Recipe, steps: int) -> optax.GradientTransformation:
+    rate = optax.warmup_cosine_decay_schedule(0.0, recipe.learning_rate, steps // 20, steps, 1e-5)
+    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
+
+
+@partial(jax.jit, static_argnames="optimiser")
+def _step(optimiser, layers, state, examples, index, flip, repeat):
+    batch = jax.tree.map(lambda v: v[index], examples)
+    value, gradient = jax.value_and_grad(loss)(layers, batch, PRIOR, flip, repeat)
+    updates, state = optimiser.update(gradient, state)
+    return optax.apply_updates(layers, updates), state, value
+
+
+def fit(
+    examples: Examples,
+    recipe: Recipe,
+    checkpoint: Path | None = None,
+    key: str = "",
+    progress: bool = False,
+) -> Network:
+    """Back-propagation over the examples.
+
+    Args:
+        examples: from ``generate``.
+        recipe: what to do; the same recipe and examples give the same weights.
+        checkpoint: a file to which the state goes after each epoch and from which it is taken up again.
+        key: a checkpoint with another key is not taken up.
+        progress: show a bar where there is a terminal.
+    """
+    drives = len(examples.label)
+    per_epoch = max(1, drives // recipe.batch)
+    optimiser = _schedule(recipe, per_epoch * recipe.epochs)
+    layers = initial(np.random.default_rng(recipe.seed), recipe.hidden)
+    state = optimiser.init(layers)
+    losses: list[float] = []
+    kept = _read_arrays(checkpoint, key) if checkpoint else None
+    if kept is not None:
+        losses = kept[0].tolist()
+        layers, state = jax.tree.unflatten(jax.tree.structure((layers, state)), kept[1:])
+    done = len(losses)
+    held = jax.tree.map(jnp.asarray, examples)
+    bar = tqdm(total=recipe.epochs, initial=done, desc="training", unit="epoch", disable=None if progress else True)
+    for epoch in range(done, recipe.epochs):
+        rng = np.random.default_rng([recipe.seed, epoch])
+        values = []
+        for index in np.array_split(rng.permutation(drives)[: per_epoch * recipe.batch], per_epoch):
+            flip = rng.random(len(index)) < 0.5
+            repeat = np.exp(rng.uniform(0, np.log(REPEAT), len(index))).astype(np.float32)
+            layers, state, value = _step(optimiser, layers, state, held, index, flip, repeat)
+            values.append(value)
+        losses.append(float(np.mean(values)))
+        bar.set_postfix(loss=f"{losses[-1]:.4f}")
+        bar.update()
+        if checkpoint is not None:
+            _write_arrays(checkpoint, key, [np.array(losses), *jax.tree.leaves((layers, state))])
+    bar.close()
+    trained: Layers = [(np.asarray(w), np.asarray(b)) for w, b in layers]
+    return Network(trained, PRIOR, {"losses": [round(v, 4) for v in losses]})
+
+
+def train(robot: Robot | None, recipe: Recipe, out: Path, progress: bool = False) -> Network:
+    """Make weights from nothing and write them; a stopped run is taken up again where it was.
+
+    The drives and the state after each epoch wait in ``OUT.checkpoint.npz``, which is removed at the end.
+
+    Args:
+        robot: the array to train for; None: any array.
+        recipe: how.
+        out: the weights file.
+        progress: show bars where there is a terminal.
+
+    Raises:
+        UsageError: the files cannot be written.
+    """
+    if not out.parent.is_dir():
+        raise UsageError(f"--out: found no folder {out.parent}, expected a file in a folder that exists")
+    told = {"robot": "any" if robot is None else robot_yaml(robot), **asdict(recipe), "echogrid": __version__}
+    key = hashlib.sha256(json.dumps(told).encode()).hexdigest()
+    drives_file, checkpoint = out.with_suffix(".drives.npz"), out.with_suffix(".checkpoint.npz")
+    kept = _read_arrays(drives_file, key)
+    if kept is None:
+        examples = generate(robot, recipe.drives, recipe.seed, progress)
+        _write_arrays(drives_file, key, examples)
+    else:
+        examples = Examples(*kept)
+    network = fit(examples, recipe, checkpoint, key, progress)
+    network = Network(network.layers, network.prior, told | network.recipe)
+    network.save(out)
+    drives_file.unlink()
+    checkpoint.unlink()
+    return network
+
+
+def _write_arrays(path: Path, key: str, arrays: Sequence[ndarray | Array]) -> None:
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        named = {f"a{i}": np.asarray(v) for i, v in enumerate(arrays)}
+        np.savez(file, allow_pickle=False, key=np.array(key), **named)
+
+
+def _read_arrays(path: Path, key: str) -> list[ndarray] | None:
+    """What was written under the same key; None: nothing, something else or a damaged file."""
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            return [data[f"a{i}"] for i in range(len(data.files) - 1)] if str(data["key"]) == key else None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None

@@ -1,0 +1,19 @@
+import atexit
+import os
+import shutil
+import tempfile
+
+from jaxtyping import install_import_hook
+
+# Array shapes in signatures are checked in all tests; an int will do where a float is asked for (PEP 484).
+install_import_hook("echogrid", "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
+
+# A program that is traced twice in one run is compiled once; nothing is taken from or left for other runs.
+compiled = tempfile.mkdtemp(prefix="echogrid-tests-")
+atexit.register(shutil.rmtree, compiled, ignore_errors=True)
+os.environ |= {
+    "JAX_PLATFORMS": "cpu",
+    "JAX_COMPILATION_CACHE_DIR": compiled,
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+}

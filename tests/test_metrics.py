@@ -1,0 +1,249 @@
+"""The scores: worked by hand, against plain loops, and by the laws that they obey."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from echogrid.grid import Grid, logit
+from echogrid.metrics import Scores, Truth, score
+
+SHAPE = (5, 5)
+
+
+def grid_of(p, resolution=1.0, origin=(0.0, 0.0)):
+    log_odds = logit(np.asarray(p, dtype=float)).astype(np.float32)
+    return Grid(log_odds, np.ones(log_odds.shape, dtype=bool), resolution, origin)
+
+
+def truth_of(cells, resolution=1.0, origin=(0.0, 0.0)):
+    return Truth(np.asarray(cells, dtype=np.int8), resolution, origin)
+
+
+def few_cells(surface_p, free_p):
+    """A 5x5 truth, hidden but for a few cells of its rows 0 (surface) and 4 (free), and its map."""
+    cells, p = np.full(SHAPE, 2), np.full(SHAPE, 0.5)
+    cells[0, : len(surface_p)], p[0, : len(surface_p)] = 1, surface_p
+    cells[4, : len(free_p)], p[4, : len(free_p)] = 0, free_p
+    return score(grid_of(p), truth_of(cells))
+
+
+def plain_scores(p, cells):
+    """The definitions once more, cell by cell; p has a border of one cell more than the truth."""
+    rows, cols = cells.shape
+    at = {(i, j): p[i + 1, j + 1] for i in range(-1, rows + 1) for j in range(-1, cols + 1)}
+    surface = [(i, j) for i in range(rows) for j in range(cols) if cells[i, j] == 1]
+    free = [(i, j) for i in range(rows) for j in range(cols) if cells[i, j] == 0]
+    near = {(i, j): [at[i + a, j + b] for a in (-1, 0, 1) for b in (-1, 0, 1)] for i, j in surface}
+    found = [max(near[c]) > 0.65 for c in surface]
+    wiped = [at[c] < 0.35 and max(near[c]) <= 0.65 for c in surface]
+    far = [c for c in free if all(math.dist(c, s) > 2 for s in surface)]
+    wins = [(at[s] > at[f]) + 0.5 * (at[s] == at[f]) for s in surface for f in free]
+    clipped = {c: min(max(v, 0.001), 0.999) for c, v in at.items()}
+    nll = mean([-math.log(clipped[c]) for c in surface]), mean([-math.log(1 - clipped[c]) for c in free])
+    pairs = [(at[c], 1) for c in surface] + [(at[c], 0) for c in free]
+    bins = [[(q, y) for q, y in pairs if b <= q * 15 < b + 1] for b in range(15)]
+    gaps = [len(b) / len(pairs) * abs(mean([y for _, y in b]) - mean([q for q, _ in b])) for b in bins if b]
+    return Scores(
+        found=mean(found),
+        wiped=mean(wiped),
+        free=mean([at[c] < 0.35 for c in free]),
+        false=mean([at[c] > 0.65 for c in far]),
+        auc=mean(wins),
+        nll=(nll[0] + nll[1]) / 2,
+        brier=mean([(q - y) ** 2 for q, y in pairs]),
+        ece=sum(gaps) if pairs else math.nan,
+        surface_cells=len(surface),
+        free_cells=len(free),
+    )
+
+
+def mean(values):
+    return sum(values) / len(values) if values else math.nan
+
+
+def same(a, b, tolerance=1e-12):
+    return dataclasses.astuple(a) == pytest.approx(dataclasses.astuple(b), abs=tolerance, nan_ok=True)
+
+
+def test_scores_stand_in_the_order_in_which_they_are_printed():
+    names = [field.name for field in dataclasses.fields(Scores)]
+    assert names[:8] == ["found", "wiped", "free", "false", "auc", "nll", "brier", "ece"]
+
+
+def test_found_wiped_free_and_false_worked_by_hand():
+    cells = [
+        [1, 1, 1, 1, 1],
+        [0, 0, 0, 0, 2],
+        [0, 0, 0, 0, 0],
+        [0, 0, 0, 0, 0],
+        [0, 0, 0, 0, 0],
+    ]
+    p = [
+        [0.9, 0.1, 0.1, 0.1, 0.5],
+        [0.5, 0.2, 0.2, 0.2, 0.9],  # the hidden 0.9 counts for the two surface cells beside it
+        [0.2, 0.2, 0.8, 0.2, 0.2],  # 0.8 two cells from the surface is inexact, not false
+        [0.2, 0.8, 0.2, 0.2, 0.2],  # 0.8 three cells away is false
+        [0.2, 0.2, 0.2, 0.2, 0.2],
+    ]
+    scores = score(grid_of(p), truth_of(cells))
+    assert scores.found == pytest.approx(4 / 5)  # all but column 2
+    assert scores.wiped == pytest.approx(1 / 5)  # column 2
+    assert scores.free == pytest.approx(16 / 19)
+    assert scores.false == pytest.approx(1 / 10)
+    assert (scores.surface_cells, scores.free_cells) == (5, 19)
+
+
+def test_a_surface_cell_that_is_left_unknown_is_neither_found_nor_wiped():
+    scores = few_cells([0.5], [0.1])
+    assert (scores.found, scores.wiped) == (0.0, 0.0)
+
+
+def test_false_measures_distance_by_euclid_and_not_by_rings():
+    cells, p = np.full(SHAPE, 2), np.full(SHAPE, 0.1)
+    cells[0, 0], cells[2, 1], cells[0, 2] = 1, 0, 0  # sqrt(5) and 2 cells away, both in ring 2
+    p[2, 1] = p[0, 2] = 0.9
+    assert score(grid_of(p), truth_of(cells)).false == 1.0
+    cells[2, 1] = 2
+    assert math.isnan(score(grid_of(p), truth_of(cells)).false)
+
+
+def test_without_any_surface_every_claim_is_false():
+    p = np.full(SHAPE, 0.1)
+    p[0, :] = 0.9
+    scores = score(grid_of(p), truth_of(np.zeros(SHAPE)))
+    assert scores.false == pytest.approx(5 / 25)
+    assert all(math.isnan(value) for value in (scores.found, scores.wiped, scores.auc, scores.nll))
+
+
+def test_auc_worked_by_hand():
+    # 0.9 beats both; 0.5 ties with 0.5 and beats 0.1.
+    assert few_cells([0.9, 0.5], [0.5, 0.1]).auc == pytest.approx(3.5 / 4)
+
+
+def test_nll_worked_by_hand_gives_the_classes_equal_weight():
+    surface, free = [0.8], [0.2, 0.5, 0.5]
+    expected = (-math.log(0.8) - (math.log(0.8) + 2 * math.log(0.5)) / 3) / 2
+    assert few_cells(surface, free).nll == pytest.approx(expected, abs=1e-6)
+
+
+def test_brier_worked_by_hand_gives_the_cells_equal_weight():
+    assert few_cells([0.8], [0.2, 0.5, 0.5]).brier == pytest.approx((0.04 + 0.04 + 0.5) / 4, abs=1e-6)
+
+
+def test_ece_worked_by_hand():
+    # Bin 13 holds 0.9 (y 1), bin 7 both 0.5 (y 1 and 0: no gap), bin 1 holds 0.1 (y 0).
+    assert few_cells([0.9, 0.5], [0.5, 0.1]).ece == pytest.approx(0.1 / 4 + 0.1 / 4, abs=1e-6)
+    # 0.67 and 0.73 share bin 10 of 15: their gaps of +0.33 and -0.73 are added before the sign is dropped.
+    assert few_cells([0.67], [0.73]).ece == pytest.approx((0.73 - 0.33) / 2, abs=1e-6)
+
+
+def test_a_perfect_map_has_perfect_scores():
+    cells = np.zeros((20, 20))
+    cells[0, :] = cells[:, 7] = 1
+    cells[12:, 12:] = 2
+    scores = score(grid_of(np.where(cells == 1, 0.98, 0.02)), truth_of(cells))
+    assert dataclasses.astuple(scores)[:5] == (1.0, 0.0, 1.0, 0.0, 1.0)
+    assert scores.nll == pytest.approx(-math.log(0.98), abs=1e-6)
+    assert scores.brier == pytest.approx(0.02**2, abs=1e-6)
+    assert scores.ece == pytest.approx(0.02, abs=1e-6)
+
+
+@pytest.mark.parametrize("empty", [False, True])
+def test_a_map_that_knows_nothing_scores_as_a_coin(empty):
+    grid = Grid(np.zeros((0, 0), np.float32), np.zeros((0, 0), bool), 1.0, (0.0, 0.0))
+    cells = np.eye(5)
+    scores = score(grid if empty else grid_of(np.full(SHAPE, 0.5)), truth_of(cells))
+    assert dataclasses.astuple(scores)[:5] == (0.0, 0.0, 0.0, 0.0, 0.5)
+    assert scores.nll == pytest.approx(math.log(2))
+    assert scores.brier == pytest.approx(0.25)
+    assert scores.ece == pytest.approx(abs(5 / 25 - 0.5))
+
+
+def test_a_truth_without_cells_to_count_scores_nan():
+    scores = score(grid_of(np.full(SHAPE, 0.9)), truth_of(np.full(SHAPE, 2)))
+    assert all(math.isnan(value) for value in dataclasses.astuple(scores)[:8])
+    assert (scores.surface_cells, scores.free_cells) == (0, 0)
+
+
+def test_outside_the_map_everything_is_unknown():
+    cells = np.zeros((5, 9))
+    cells[0, 8] = 1
+    scores = score(grid_of(np.full(SHAPE, 0.1)), truth_of(cells))
+    assert (scores.found, scores.wiped) == (0.0, 0.0)
+    assert scores.free == pytest.approx(25 / 44)
+
+
+def test_a_neighbourhood_reaches_past_the_border_of_the_truth():
+    p = np.full((7, 7), 0.1)
+    p[0, 0] = 0.9
+    inner = truth_of([[1]], origin=(1.0, 1.0))
+    assert score(grid_of(p), inner).found == 1.0
+    assert score(grid_of(p), truth_of([[1]], origin=(2.0, 2.0))).wiped == 1.0
+
+
+def test_a_neighbourhood_is_of_truth_cells_and_not_of_map_cells():
+    p = np.full((8, 8), 0.1)
+    p[4, 7] = 0.9  # three map cells, but one and a half truth cells, from the surface
+    cells = np.full((4, 4), 2)
+    cells[2, 2] = 1
+    assert score(grid_of(p, 0.5, (0.0, 0.25)), truth_of(cells)).found == 1.0
+
+
+MAPS = arrays(np.float64, (8, 9), elements=st.sampled_from([0.05, 0.3, 0.34, 0.36, 0.5, 0.64, 0.66, 0.9]))
+CELLS = arrays(np.int8, (6, 7), elements=st.sampled_from([0, 0, 0, 1, 2]))
+
+
+@given(MAPS, CELLS)
+@settings(max_examples=100, deadline=None)
+def test_the_scores_are_those_of_plain_loops(p, cells):
+    grid = grid_of(p, origin=(-1.0, -1.0))
+    assert same(score(grid, truth_of(cells)), plain_scores(grid.probability().astype(float), cells))
+
+
+@given(
+    arrays(np.float64, (4, 5), elements=st.floats(0.06, 0.94)),
+    arrays(np.int8, (4, 5), elements=st.integers(0, 2)),
+)
+@settings(max_examples=100, deadline=None)
+def test_auc_is_the_share_of_pairs_in_the_right_order(p, cells):
+    grid = grid_of(np.round(p, 1))  # rounded, so that there are ties
+    shown = grid.probability()
+    wins = [(a > b) + 0.5 * (a == b) for a in shown[cells == 1] for b in shown[cells == 0]]
+    assert score(grid, truth_of(cells)).auc == pytest.approx(mean(wins), nan_ok=True)
+
+
+@given(MAPS, CELLS, st.integers(-4000, 4000), st.integers(-4000, 4000))
+@settings(max_examples=50, deadline=None)
+def test_a_shift_of_map_and_truth_together_changes_nothing(p, cells, i, j):
+    # Multiples of a power of two, so that the shift itself is exact.
+    here = score(grid_of(p, 0.5), truth_of(cells, 0.25, (0.125, 0.125)))
+    shift = i * 0.125, j * 0.125
+    there = score(grid_of(p, 0.5, shift), truth_of(cells, 0.25, (shift[0] + 0.125, shift[1] + 0.125)))
+    assert same(here, there, tolerance=0.0)
+
+
+@given(MAPS, CELLS)
+@settings(max_examples=50, deadline=None)
+def test_turning_map_and_truth_together_changes_nothing(p, cells):
+    here = score(grid_of(p), truth_of(cells))
+    assert same(here, score(grid_of(p.T), truth_of(cells.T)))
+
+
+@given(
+    st.sampled_from([0.06, 0.1, 0.12]),
+    st.sampled_from([0.05, 0.1, 0.13]),
+    st.tuples(st.floats(-3, 3), st.floats(-3, 3)),
+)
+@settings(max_examples=50, deadline=None)
+def test_p_is_what_the_map_says_at_the_centres(resolution, truth_resolution, origin):
+    rng = np.random.default_rng(0)
+    grid = grid_of(rng.uniform(0.03, 0.97, (30, 40)), resolution, (-1.0, -1.0))
+    truth = truth_of(rng.integers(0, 2, (12, 15)), truth_resolution, origin)
+    centres = np.array([[(col + 0.5, row + 0.5) for col in range(15)] for row in range(12)])
+    p = grid.probability_at(centres * truth_resolution + origin).astype(float)
+    assert score(grid, truth).brier == pytest.approx(np.mean((p - truth.cells) ** 2))
