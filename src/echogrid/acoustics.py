@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from numpy import ndarray
 from scipy import special
 
@@ -44,6 +44,14 @@ class Physics:
     rigid wedge has -37 dB, a rounded door frame (5 mm) -23 dB."""
     diffuse_db: float = 0.0
     """Added to the Lambert echo of rough walls."""
+    facet_db: float = -60.0
+    """Echo that walls which are not quite even send straight back, beside a plane's; -60 is none. With it the
+    long ways over several walls come back from many directions instead of a few."""
+    facet_slope_deg: float = 5.0
+    """Root mean square slope of such walls: how far from the normal they send echoes back."""
+    axis_ray: bool = False
+    """Leonard's rule for a sonar that hears nothing: it reads the length of the specular way along its axis, up to
+    the first wall that is met within 12.5 degrees of its normal."""
     level_noise_db: float = 1.5
     """Standard deviation of the level of each reading."""
     walk_error: float = 0.5
@@ -74,6 +82,10 @@ class Acoustics(NamedTuple):
     edge_db: Float[Array | ndarray, "*n"] | float
     patch_db: Float[Array | ndarray, "*n"] | float
     """Level of a Lambert wall that fills the beam at normal incidence."""
+    facet_db: Float[Array | ndarray, "*n"] | float
+    facet_slope: Float[Array | ndarray, "*n"] | float
+    """Tangent."""
+    axis_ray: Bool[Array | ndarray, "*n"] | bool
     patch_rad: Float[Array | ndarray, "*n"] | float
     """Two-way -3 dB half angle of the beam."""
     pulse: Float[Array | ndarray, "*n"] | float
@@ -172,6 +184,9 @@ def acoustics(transducer: Transducer, physics: Physics) -> Acoustics:
         reflection_loss_db=physics.reflection_loss_db,
         edge_db=physics.edge_db,
         patch_db=10 * np.log10(4 * patch_rad**2) + physics.diffuse_db,
+        facet_db=physics.facet_db,
+        facet_slope=np.tan(np.deg2rad(physics.facet_slope_deg)),
+        axis_ray=physics.axis_ray,
         patch_rad=patch_rad,
         pulse=pulse,
         walk=physics.walk_error * pulse,

@@ -29,6 +29,7 @@ RAYS = 49
 FAN_RAD = np.deg2rad(73.5)
 """Width of the fan: beyond it no beam pattern reaches the threshold."""
 
+_SQUARE = np.cos(np.deg2rad(12.5))
 _FAR = 1e6
 _NOTHING = 1e9
 
@@ -191,7 +192,7 @@ def first_echo(
         p_world: where each sonar is, m.
         axis: where it points, rad.
         level_offset: dB added to all echoes of a sonar (fluctuation of the level).
-        rays: rays of the fan; more resolve visibility finer.
+        rays: rays of the fan, an odd number; more resolve visibility finer.
     """
     step = FAN_RAD / rays
     fan = (jnp.arange(rays) - (rays - 1) / 2) * step
@@ -205,6 +206,7 @@ def first_echo(
     zero = jnp.zeros_like(bearing)
     leg = _Rays(sx, sy, jnp.cos(bearing), jnp.sin(bearing), sx, sy, zero + 1.0, zero, zero)
     best = jnp.full_like(bearing, _NOTHING)
+    way = jnp.full_like(bearing, _NOTHING)
 
     for order in range(BOUNCES + 1):
         # Without the barrier the compiler computes parts of a leg again for each of its uses (1.7 times slower).
@@ -228,6 +230,9 @@ def first_echo(
         level = level + 2 * (leg.loss + beam) + gain
         best = jnp.minimum(best, _crossing(ac, (end < 0.5 * _FAR) & ~cylinder, end, level))
 
+        square = (jnp.abs(hit.towards) > _SQUARE) & (end < 0.5 * _FAR) & ~cylinder
+        way = jnp.where(square, jnp.minimum(way, end), way)
+
         if order < BOUNCES:
             behind = leg.vx * hit.normal_x + leg.vy * hit.normal_y - hit.offset
             leg = _Rays(
@@ -243,17 +248,24 @@ def first_echo(
             )
 
     nearest = jnp.min(best.reshape(sonars, rays), axis=1)
+    along_axis = way.reshape(sonars, rays)[:, rays // 2]
+    nearest = jnp.where(ac.axis_ray & (nearest > 0.5 * _NOTHING), along_axis, nearest)
     return jnp.where(nearest < 0.5 * _NOTHING, nearest, jnp.inf)
 
 
 def _diffuse(
     ac: Acoustics, rayleigh: Float[Array, "m"], cos: Float[Array, "m"], r: Float[Array, "m"]
 ) -> Float[Array, "m"]:
-    """Lambert echo of what the beam and the burst light up of a rough wall, dB relative to a plane."""
+    """What a wall sends straight back along a ray, dB relative to the echo of a plane.
+
+    The Lambert part of a rough wall, of as much of it as the beam and the burst light up; and the facets of an
+    uneven wall that happen to face the sensor (geometrical optics of a surface with Gaussian slopes).
+    """
     scattered = 1 - jnp.exp(-rayleigh)
-    tan = jnp.sqrt(jnp.maximum(1 - cos * cos, 1e-6)) / jnp.maximum(cos, 1e-3)
-    lit = jnp.minimum(1.0, ac.pulse / (2 * r * ac.patch_rad * tan))
-    return jnp.asarray(ac.patch_db + 10 * jnp.log10(jnp.maximum(scattered * cos * lit, 1e-9)))
+    tan2 = jnp.maximum(1 - cos * cos, 1e-6) / jnp.maximum(cos * cos, 1e-6)
+    lit = jnp.minimum(1.0, ac.pulse / (2 * r * ac.patch_rad * jnp.sqrt(tan2)))
+    lambert = ac.patch_db + 10 * jnp.log10(jnp.maximum(scattered * cos * lit, 1e-9))
+    return jnp.maximum(lambert, ac.facet_db - 2.17 * tan2 / ac.facet_slope**2)
 
 
 def _cylinder_in_front(

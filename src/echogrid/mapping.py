@@ -68,51 +68,56 @@ def local_mapper(robot: Robot, model: Interpreter) -> Callable[[Float[Array, "sc
 
 
 def surrounding(
-    at: Float[Array, "*n 2"],
-) -> tuple[Int[Array, "*n 4"], Float[Array, "*n 4"], Bool[Array, "*n"]]:
+    x: Float[Array, "*n"], y: Float[Array, "*n"]
+) -> tuple[list[Int[Array, "*n"]], list[Float[Array, "*n"]], Bool[Array, "*n"]]:
     """The four local cells whose centres surround each point, their weights by eq. 4, and whether there are four.
 
     Args:
-        at: x, y in the robot's frame in cells, counted from the centre of the first cell.
+        x: forward, in cells, counted from the centre of the first cell; see ``in_cells``.
+        y: to the left, likewise.
 
     Returns:
-        Flat indices of the cells; weights 1/distance that sum to 1 (at a centre that cell alone); whether
-        the point lies within the outermost centres.
+        For each of the four its flat index, and its weight 1/distance as a share of their sum (at a centre that
+        cell alone); whether the point lies within the outermost centres. Lists, for arrays with a short last
+        axis are slow.
     """
-    low = jnp.clip(jnp.floor(at), 0, LOCAL_CELLS - 2)
-    part = at - low
-    inside = jnp.all((part >= 0) & (part <= 1), axis=-1)
-    first = (low[..., 1] * LOCAL_CELLS + low[..., 0]).astype(jnp.int32)
-    u, v = part[..., :1], part[..., 1:]
-    du, dv = jnp.array([0, 1, 0, 1]), jnp.array([0, 0, 1, 1])
-    near = jax.lax.rsqrt((u - du) ** 2 + (v - dv) ** 2 + 1e-12)
-    return first[..., None] + du + LOCAL_CELLS * dv, near / jnp.sum(near, axis=-1, keepdims=True), inside
+    col, row = (jnp.clip(jnp.floor(place), 0, LOCAL_CELLS - 2) for place in (x, y))
+    u, v = x - col, y - row
+    inside = (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
+    first = (row * LOCAL_CELLS + col).astype(jnp.int32)
+    steps = [(0, 0), (1, 0), (0, 1), (1, 1)]
+    near = [jax.lax.rsqrt((u - du) ** 2 + (v - dv) ** 2 + 1e-12) for du, dv in steps]
+    total = near[0] + near[1] + near[2] + near[3]
+    return [first + du + LOCAL_CELLS * dv for du, dv in steps], [weight / total for weight in near], inside
 
 
-def in_cells(p_robot: Float[Array | ndarray, "*n 2"]) -> Float[Array, "*n 2"]:
-    """Points (m, robot frame; x, y in the last axis) in the units of ``surrounding``."""
-    return jnp.asarray(p_robot) / LOCAL_CELL_M + (LOCAL_CELLS - 1) / 2
+def in_cells(metres: Float[Array | ndarray, "*n"]) -> Float[Array, "*n"]:
+    """A coordinate in the robot's frame (m) in the units of ``surrounding``."""
+    return jnp.asarray(metres) / LOCAL_CELL_M + (LOCAL_CELLS - 1) / 2
 
 
-def resample(local: LocalMap, at: Float[Array, "scans points 2"]) -> Float[Array, "scans points"]:
+def resample(local: LocalMap, x: Float[Array, "scans *n"], y: Float[Array, "scans *n"]) -> Float[Array, "scans *n"]:
     """Occupancy probability of points from the local map by eq. 4, nan where the local map says nothing.
 
     It speaks of a point that lies among four local centres, at least one of which is spoken of.
 
     Args:
         local: the local maps.
-        at: points in each map, as for ``surrounding``.
+        x: points in each map, as for ``surrounding``.
+        y: likewise.
     """
     # Whether a cell is spoken of rides with its probability, 4 below it if not: one gather serves both.
     coded = jnp.where(local.spoken, local.probability, local.probability - 4.0).reshape(-1)
     # Without the barrier the compiler works the network out again for each of the four cells.
-    coded, at = jax.lax.optimization_barrier((coded, at))
-    cell, weight, inside = surrounding(at)
-    offset = jnp.arange(cell.shape[0], dtype=jnp.int32) * LOCAL_CELLS**2
-    near = [coded.at[cell[..., k] + offset[:, None]].get(mode="promise_in_bounds") for k in range(cell.shape[-1])]
-    spoken = [value > -1.0 for value in near]
-    terms = [weight[..., k] * jnp.where(spoken[k], near[k], near[k] + 4.0) for k in range(len(near))]
-    return jnp.where(inside & (spoken[0] | spoken[1] | spoken[2] | spoken[3]), sum(terms), jnp.nan)
+    coded, x, y = jax.lax.optimization_barrier((coded, x, y))
+    cells, weights, inside = surrounding(x, y)
+    scan = jnp.arange(len(x), dtype=jnp.int32).reshape(-1, *[1] * (x.ndim - 1))
+    offset = scan * LOCAL_CELLS**2
+    near = [coded.at[cell + offset].get(mode="promise_in_bounds") for cell in cells]
+    told = [value > -1.0 for value in near]
+    terms = [w * jnp.where(said, value, value + 4.0) for w, said, value in zip(weights, told, near, strict=True)]
+    total = terms[0] + terms[1] + terms[2] + terms[3]
+    return jnp.where(inside & (told[0] | told[1] | told[2] | told[3]), total, jnp.nan)
 
 
 def _patch_side(resolution: float) -> int:
@@ -141,9 +146,9 @@ def _patcher(robot: Robot, model: Interpreter, resolution: float) -> Patcher:
         x = corner[:, 0, None, None] + steps[None, None, :]
         y = corner[:, 1, None, None] + steps[None, :, None]
         cos, sin = jnp.cos(theta)[:, None, None], jnp.sin(theta)[:, None, None]
-        p_robot = jnp.stack([cos * x + sin * y, cos * y - sin * x], axis=-1).reshape(len(ranges), -1, 2)
-        p = jnp.clip(resample(look(ranges), in_cells(p_robot)), P_VIEW_MIN, P_VIEW_MAX)
-        return (jnp.log(p / (1 - p)) - prior).reshape(-1, side, side)
+        p = resample(look(ranges), in_cells(cos * x + sin * y), in_cells(cos * y - sin * x))
+        p = jnp.clip(p, P_VIEW_MIN, P_VIEW_MAX)
+        return jnp.log(p / (1 - p)) - prior
 
     return patches
 

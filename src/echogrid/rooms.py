@@ -148,9 +148,13 @@ def random_world(rng: np.random.Generator, shape: str, walls: str = "any") -> Wo
 
 
 def random_physics(rng: np.random.Generator) -> Physics:
-    """Air, ranging module and surfaces as they may be anywhere."""
+    """Air, ranging module and surfaces as they may be anywhere; one time in five Leonard's model taken strictly."""
+    strict = rng.random() < 0.2
     return Physics(
-        beam=str(rng.choice(["bessel", "gaussian", "impulse", "cone"], p=[0.55, 0.15, 0.1, 0.2])),
+        beam="cone"
+        if strict
+        else str(rng.choice(["bessel", "gaussian", "impulse", "cone"], p=[0.65, 0.2, 0.1, 0.05])),
+        axis_ray=bool(strict),
         temperature_c=rng.uniform(10, 30),
         humidity_percent=rng.uniform(20, 80),
         level_db=rng.choice([rng.uniform(28, 48), rng.uniform(45, 65)], p=[0.7, 0.3]),
@@ -158,6 +162,8 @@ def random_physics(rng: np.random.Generator) -> Physics:
         reflection_loss_db=rng.choice([rng.uniform(0, 1), rng.uniform(0, 8)]),
         edge_db=rng.uniform(-40, -16),
         diffuse_db=rng.uniform(-8, 6),
+        facet_db=rng.choice([-60.0, rng.uniform(-30, 0)]),
+        facet_slope_deg=rng.uniform(2, 10),
         level_noise_db=rng.uniform(0.5, 4),
         walk_error=rng.uniform(0, 0.8),
         range_noise=rng.uniform(0.001, 0.012),

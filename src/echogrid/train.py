@@ -37,8 +37,9 @@ PRIOR = 0.15
 REPEAT = 8.0
 """Looks come up to so often: training drives are short, and a robot that drives slowly sees all more often."""
 
-HIDDEN_WEIGHT = 0.15
-"""Weight of hidden points in the loss; surface and free points have 1 each."""
+SURFACE_WEIGHT, HIDDEN_WEIGHT = 2.0, 0.15
+"""Weight of all surface points and of all hidden points in the loss of the fused map; free points have 1. To miss a
+wall is worse than to miss free floor."""
 
 SINGLE_WEIGHT = 0.2
 """Weight of the single looks beside the fused map."""
@@ -73,24 +74,25 @@ def _mirrored(x: Float[Array, "*n 4"], flip: Array, sign: float) -> Float[Array,
 
 
 def loss(layers: Layers, batch: Examples, prior: float, flip: Array, repeat: Array) -> Array:
-    """Cross-entropy of single looks and of the fused map, surface and free points weighing the same.
+    """Cross-entropy of single looks and of the fused map, see SURFACE_WEIGHT.
 
     Hidden points are to stay at 0.5. For each drive, ``flip`` (bool) mirrors left and right, and ``repeat``
     (at least 1) says how often each look comes again, as it does when a robot drives slowly.
     """
     drive = jnp.arange(len(batch.label))[:, None, None, None]
-    cell, share_of_cell, _ = surrounding(jnp.asarray(batch.at, jnp.float32))
+    cells, weights, _ = surrounding(*jnp.moveaxis(jnp.asarray(batch.at, jnp.float32), -1, 0))
+    cell = jnp.stack(cells, axis=-1)
     there = batch.frame >= 0
     reading = batch.ranges[drive[..., None], batch.frame[..., None, None], batch.sonar[drive, cell]]
     flip = flip[:, None, None, None, None]
     reading = _mirrored(reading.astype(jnp.float32), flip, 1.0)
     off_axis = _mirrored(batch.off_axis[drive, cell].astype(jnp.float32), flip, -1.0)
     distance = _mirrored(batch.distance[drive, cell].astype(jnp.float32), flip, 1.0)
-    p = jnp.sum(share_of_cell * look(layers, prior, reading, off_axis, distance)[0], axis=-1)
+    p = jnp.sum(jnp.stack(weights, axis=-1) * look(layers, prior, reading, off_axis, distance)[0], axis=-1)
     z = jnp.log(p) - jnp.log1p(-p)
     evidence = jnp.where(there, z - logit(prior), 0.0)
     target = jnp.where(batch.label == SURFACE, 1.0, jnp.where(batch.label == FREE, 0.0, 0.5))
-    share = jnp.where(batch.label == SURFACE, 1 / POINTS[0], 1 / (POINTS[1] + POINTS[2]))
+    share = jnp.where(batch.label == SURFACE, SURFACE_WEIGHT / POINTS[0], 1 / (POINTS[1] + POINTS[2]))
     weight = jnp.where(batch.label == HIDDEN, HIDDEN_WEIGHT / POINTS[3], share)
     fused = optax.sigmoid_binary_cross_entropy(repeat[:, None] * jnp.sum(evidence, axis=-1), target)
     seen = jnp.any(there, axis=-1)
