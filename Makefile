@@ -40,7 +40,7 @@ bench: $(READY)  ## speed and memory (about 3 minutes)
 	$(BIN)/python benchmarks/mapping.py
 	$(BIN)/python benchmarks/memory.py
 
-study: $(READY)  ## score the network and the cone on held-out rooms, write docs/results.md (about 10 minutes)
+study: $(READY)  ## score the network and the cone on held-out rooms (about 4 minutes)
 	$(BIN)/python experiments/held_out.py
 
 weights: $(READY)  ## train the weights that ship (about 25 minutes on 2 cores)

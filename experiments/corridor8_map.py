@@ -11,9 +11,9 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from corridor8_to_csv import frames
 from matplotlib.figure import Figure
 
+from corridor8_to_csv import frames
 from echogrid import Grid, Log, Robot, build_map
 from echogrid.interpret import interpreter
 from echogrid.metrics import FREE_BELOW, OCCUPIED_ABOVE
@@ -61,7 +61,9 @@ def draw(path: Path, maps: dict[str, Grid], drive: np.ndarray) -> None:
             p, cmap="gray_r", vmin=0, vmax=1, origin="lower", extent=(x, x + cols * cell, y, y + rows * cell)
         )
         axes.plot(*drive.T, color="tab:blue", lw=1.0, label="drive")
-        axes.plot(X[[0, -1]], [RIGHT_M] * 2, color="tab:red", lw=0.8, ls="--", label="walls as measured, x = 1 .. 9 m")
+        axes.plot(
+            X[[0, -1]], [RIGHT_M] * 2, color="tab:red", lw=0.8, ls="--", label="walls as measured, x = 1 .. 9 m"
+        )
         axes.plot(X[[0, -1]], [LEFT_M] * 2, color="tab:red", lw=0.8, ls="--")
         axes.set(title=name, xlabel="x (m)", xlim=(-2, 19), ylim=(-11.5, 3))
         axes.set_facecolor("0.5")

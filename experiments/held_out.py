@@ -1,15 +1,15 @@
 """Held-out rooms: the network and the cone model on the same drives, the same weights for all walls.
 
-    python experiments/held_out.py [--rooms 20] [--out docs/results.md] [MODEL ...]
+    python experiments/held_out.py [--rooms 20] [--robot b21] [--resolution 0.12] [MODEL ...]
 
 Three kinds of room (smooth, rough, mixed walls) under three kinds of simulator: echogrid's with its default
-physics, echogrid's with physics drawn at random for each room, and the one of leonard.py. A B21 tours each room;
-truth reaches 1.4 m from its path. Prints and writes a table of means over the rooms.
+physics, echogrid's with physics drawn at random for each room, and the one of leonard.py. The robot tours each room;
+truth reaches 1.4 m from its path. Prints a table of means over the rooms. MODEL is ``network``, ``cone`` or a weights
+file.
 """
 
 import argparse
 from dataclasses import astuple, fields
-from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
@@ -30,10 +30,9 @@ SHOWN = [f.name for f in fields(Scores)][:8]
 SEED = 20_000_000
 
 
-def rooms(kind, count):
+def rooms(kind, count, robot):
     """Worlds and drives that no training run has seen: their seeds are apart."""
     rng = np.random.default_rng([SEED, KINDS.index(kind)])
-    robot = Robot.load("b21")
     found = 0
     while found < count:
         world = random_world(rng, "room", kind)
@@ -56,12 +55,11 @@ def frames(simulator, world, poses, robot, seed):
     return list(Simulator(world, robot, physics).frames(poses, seed))
 
 
-def study(models, count, resolution):
+def study(models, robot, count, resolution):
     """Scores [simulator, kind, model, room, score]."""
-    robot = Robot.load("b21")
     table = np.full((len(SIMULATORS), len(KINDS), len(models), count, len(SHOWN)), np.nan)
     for k, kind in enumerate(KINDS):
-        for n, (world, poses) in enumerate(tqdm(rooms(kind, count), total=count, desc=kind, disable=None)):
+        for n, (world, poses) in enumerate(tqdm(rooms(kind, count, robot), total=count, desc=kind, disable=None)):
             truth = truth_of(world, poses)
             for s, simulator in enumerate(SIMULATORS):
                 drive = frames(simulator, world, poses, robot, n)
@@ -89,13 +87,10 @@ def main():
     parser.add_argument("models", nargs="*", default=["network", "cone"])
     parser.add_argument("--rooms", type=int, default=20)
     parser.add_argument("--resolution", type=float, default=0.12)
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--robot", default="b21")
     args = parser.parse_args()
     models = [interpreter(name) for name in args.models]
-    text = markdown(study(models, args.rooms, args.resolution), models)
-    print(text)
-    if args.out:
-        args.out.write_text(text + "\n", encoding="utf-8")
+    print(markdown(study(models, Robot.load(args.robot), args.rooms, args.resolution), models))
 
 
 if __name__ == "__main__":

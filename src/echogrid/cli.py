@@ -1,13 +1,16 @@
 """The command line: the only place that prints."""
 
+import io
+import os
 import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from importlib import resources
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NoReturn
 
 import numpy as np
 import tyro
@@ -19,6 +22,7 @@ from tyro.conf import Positional
 from echogrid import __version__
 from echogrid.acoustics import BEAMS, Physics
 from echogrid.errors import EchogridError, InputError, UsageError
+from echogrid.files import made, replacing, unwritable
 from echogrid.log import Frame, Log, describe
 from echogrid.readers import load_log
 from echogrid.robot import TRANSDUCERS, Robot, preset_names, robot_yaml
@@ -77,7 +81,7 @@ class Map:
 
         if not 0.005 <= self.resolution <= 10:
             raise UsageError(f"--resolution: found {self.resolution:g}, expected 0.005 to 10 m")
-        log, robot = _open(self.log, self.robot)
+        log, robot, named = _open(self.log, self.robot)
         model = interpreter(self.interpreter)
         path, count, grid = _Path(), 0, None
 
@@ -89,17 +93,21 @@ class Map:
                 yield frame
 
         begin = time.perf_counter()
-        for step in build_map(frames(), robot, model, self.resolution):
-            grid = step
-        if grid is None:
-            raise InputError(log.name, "no frames", "at least one")
-        seconds = time.perf_counter() - begin
-        if self.refine:
-            grid = grid.refined()
-        settings = asdict(self) | {"log": log.name, "robot": robot_yaml(robot), "frames": count}
-        recipe = getattr(model, "recipe", None)
-        settings |= {"weights": recipe} if recipe else {}
-        write_map(self.out, grid, path.points(), settings, f"{Path(log.name).name}, {robot.name}, {model.name}")
+        with made(self.out):  # a folder that cannot be made is found now, not after the mapping
+            for step in build_map(frames(), robot, model, self.resolution):
+                grid = step
+            if grid is None:
+                raise InputError(log.name, "no frames", "at least one")
+            seconds = time.perf_counter() - begin
+            if self.refine:
+                grid = grid.refined()
+            settings = asdict(self) | {"log": log.name, "robot": robot_yaml(robot), "frames": count}
+            recipe = getattr(model, "recipe", None)
+            settings |= {"weights": recipe} if recipe else {}
+            title = f"{Path(log.name).name}, {robot.name}, {model.name}"
+            write_map(self.out, grid, path.points(), settings, title)
+        if not named:
+            print(f"robot: {robot.name}, as none was named", file=sys.stderr)
         rows, cols = grid.shape
         size = f"{cols * grid.resolution:.1f} x {rows * grid.resolution:.1f} m"
         print(f"{log.name}: {count} scans of {robot.name} in {seconds:.1f} s; map of {size} in {self.out}/map.png")
@@ -135,6 +143,7 @@ class Simulate:
         from echogrid.world import World
 
         _check(self.physics)
+        _check_seed(self.seed)
         world, robot = World.load(self.world).with_walls(self.walls), Robot.load(self.robot)
         if self.drive == "auto":
             poses = tour(world, robot.footprint_radius_m + 0.1)
@@ -143,9 +152,12 @@ class Simulate:
         poses = np.round(poses, 6)
         frames = Simulator(world, robot, self.physics).frames(poses, self.seed)
         rounded = (Frame(round(f.stamp, 3), f.pose, np.round(f.ranges, 4)) for f in frames)
-        write_csv(self.out, _bar(rounded, "simulating", "scan", len(poses)), robot.sonars)
+        if not self.out.name:
+            raise unwritable(self.out, "a folder")
         truth = self.out.with_suffix(".truth.npz")
-        write_truth(truth, truth_of(world, poses))
+        with replacing(truth) as new:  # the log and its truth appear together
+            write_truth(new, truth_of(world, poses))
+            write_csv(self.out, _bar(rounded, "simulating", "scan", len(poses)), robot.sonars)
         length = np.sum(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))
         print(f"{world.name}: {len(poses)} scans of {robot.name} over {length:.1f} m in {self.out}, truth in {truth}")
 
@@ -184,8 +196,10 @@ class Scan:
             at = (float(numbers[1]), float(numbers[2])) if numbers else None
         except ValueError:
             at = None
-        if at is None or not np.all(np.isfinite(at)):
-            raise UsageError(f"--at: found {self.at!r}, expected X,Y in metres")
+        if at is None or not np.max(np.abs(at)) <= 1e4:
+            raise UsageError(f"--at: found {self.at!r}, expected X,Y in metres, within 10 km")
+        if not 0 < self.max_range <= 100:
+            raise UsageError(f"--max-range: found {self.max_range:g}, expected more than 0, up to 100 m")
         if self.transducer not in TRANSDUCERS:
             raise UsageError(f"--transducer: found {self.transducer}, expected {' or '.join(TRANSDUCERS)}")
         bearing, ranges = rotary_scan(world, TRANSDUCERS[self.transducer], self.max_range, at, self.physics)
@@ -205,9 +219,9 @@ class Train:
     """Preset, robot file, or ``any``: a new array for each drive, as for the weights that ship."""
     out: Path
     """The weights to write (.npz)."""
-    drives: int = 2500
+    drives: int = 5000
     """Simulated drives to learn from."""
-    epochs: int = 24
+    epochs: int = 30
     """Times to go through them."""
     seed: int = 1
     """The same seed gives the same weights."""
@@ -219,6 +233,9 @@ class Train:
         for name in ("drives", "epochs"):
             if getattr(self, name) < 1:
                 raise UsageError(f"--{name}: found {getattr(self, name)}, expected 1 or more")
+        _check_seed(self.seed)
+        if not self.out.name or self.out.is_dir():
+            raise unwritable(self.out, "a folder")
         robot = None if self.robot == "any" else Robot.load(self.robot)
         begin = time.perf_counter()
         recipe = Recipe(drives=self.drives, epochs=self.epochs, seed=self.seed)
@@ -272,7 +289,8 @@ class Info:
         print(f"no echo       {info.no_echo:.1%}")
         print(f"not fired     {info.not_fired:.1%}")
         print(f"stale         {info.stale:.1%} of the finite readings repeat the one before")
-        print(f"ranges        {info.nearest_m:.3f} .. {info.farthest_m:.3f} m, median {info.median_m:.2f} m")
+        ranges = f"{info.nearest_m:.3f} .. {info.farthest_m:.3f} m, median {info.median_m:.2f} m"
+        print(f"ranges        {'none' if np.isnan(info.median_m) else ranges}")
         print("no echo of    " + " ".join(f"r{i} {v:.0%}" for i, v in enumerate(info.no_echo_by_sonar)))
 
 
@@ -288,24 +306,23 @@ COMMANDS: dict[str, Callable[..., Command]] = {
 }
 
 
-def _open(log_file: str | None, robot_name: str | None) -> tuple[Log, Robot]:
-    """The log and the robot to map it with; a robot that nobody named is said."""
+def _open(log_file: str | None, robot_name: str | None) -> tuple[Log, Robot, bool]:
+    """The log, the robot to map it with, and whether the user or the log named that robot."""
     if log_file is None:
         robot = Robot.load(robot_name or "b21")
-        return load_log(str(resources.files("echogrid") / "data" / "sample.csv"), robot), robot
+        return load_log(str(resources.files("echogrid") / "data" / "sample.csv"), robot), robot, True
     if robot_name is not None:
         robot = Robot.load(robot_name)
-        return load_log(log_file, robot), robot
+        return load_log(log_file, robot), robot, True
     log = load_log(log_file)
     if log.robot is not None:
-        return log, log.robot
+        return log, log.robot, True
     robot = Robot.load("b21")
     if log.sonars != robot.sonars:
         fits = [name for name in preset_names() if Robot.load(name).sonars == log.sonars]
         known = f" (presets with {log.sonars}: {', '.join(fits)})" if fits else ""
         raise UsageError(f"{log.name}: found {log.sonars} sonars, expected --robot to say where they sit{known}")
-    print("robot: b21, as none was named", file=sys.stderr)
-    return load_log(log_file, robot), robot
+    return load_log(log_file, robot), robot, False
 
 
 def _bar[T](items: Iterable[T], what: str, unit: str, total: int | None = None) -> Iterable[T]:
@@ -313,35 +330,70 @@ def _bar[T](items: Iterable[T], what: str, unit: str, total: int | None = None) 
     return tqdm(items, desc=what, unit=unit, total=total, disable=None, leave=False)
 
 
+_PHYSICS_LIMITS = {
+    "temperature_c": (-50.0, 60.0),
+    "humidity_percent": (0.0, 100.0),
+    "facet_slope_deg": (0.1, 80.0),
+    **dict.fromkeys(("walk_error", "range_noise", "range_scale", "lost", "cross_talk", "stale"), (0.0, 1.0)),
+}
+_LEVEL_LIMITS_DB = (-200.0, 200.0)
+"""Of all other fields of Physics."""
+
+
 def _check(physics: Physics) -> None:
     if physics.beam not in BEAMS:
         raise UsageError(f"--physics.beam: found {physics.beam}, expected {', '.join(BEAMS)}")
-    for item in fields(physics):
-        value = getattr(physics, item.name)
-        if item.name != "beam" and not np.isfinite(value):
-            raise UsageError(f"--physics.{item.name.replace('_', '-')}: found {value}, expected a finite number")
-    for name in ("lost", "cross_talk", "stale"):
-        if not 0 <= getattr(physics, name) <= 1:
+    for name in (item.name for item in fields(physics) if item.name != "beam"):
+        value, (low, high) = getattr(physics, name), _PHYSICS_LIMITS.get(name, _LEVEL_LIMITS_DB)
+        if not low <= value <= high:
             shown = name.replace("_", "-")
-            raise UsageError(f"--physics.{shown}: found {getattr(physics, name):g}, expected a probability")
+            raise UsageError(f"--physics.{shown}: found {value:g}, expected {low:g} to {high:g}")
+
+
+def _check_seed(seed: int) -> None:
+    if seed < 0:
+        raise UsageError(f"--seed: found {seed}, expected 0 or more")
 
 
 def main(args: list[str] | None = None) -> None:
     """Run a command; an error that the user can mend is one line and exit status 2."""
-    args = sys.argv[1:] if args is None else args
-    if args in (["--version"], ["-V"]):
-        print(f"echogrid {__version__}")
-        return
-    command = tyro.extras.subcommand_cli_from_dict(
-        COMMANDS, prog="echogrid", description="Occupancy maps from ultrasonic ranges.", args=args
-    )
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a name may hold what the terminal cannot show
     try:
-        command.run()
+        try:
+            _run(sys.argv[1:] if args is None else args)
+        finally:
+            print(end="", flush=True)  # here, where it can still be told that nobody takes the output
     except EchogridError as error:
-        print(f"echogrid: {error}", file=sys.stderr)
-        sys.exit(EXIT_ERROR)
+        _fail(str(error))
+    except MemoryError:
+        _fail("memory: found too little, expected more for a job of this size")
     except KeyboardInterrupt:
         print("echogrid: stopped", file=sys.stderr)
         sys.exit(130)
     except BrokenPipeError:
+        _drop_output()
         sys.exit(0)
+    except OSError as error:
+        _drop_output()
+        _fail(f"{error.filename or 'output'}: found {error.strerror or error}, expected a file that can be used")
+
+
+def _run(args: list[str]) -> None:
+    if args in (["--version"], ["-V"]):
+        print(f"echogrid {__version__}")
+        return
+    tyro.extras.subcommand_cli_from_dict(
+        COMMANDS, prog="echogrid", description="Occupancy maps from ultrasonic ranges.", args=args
+    ).run()
+
+
+def _fail(text: str) -> NoReturn:
+    print(f"echogrid: {text}", file=sys.stderr)
+    sys.exit(EXIT_ERROR)
+
+
+def _drop_output() -> None:
+    """Let what is still to be written go nowhere: Python tries once more as it ends, and would complain."""
+    with suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

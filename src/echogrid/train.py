@@ -49,8 +49,8 @@ SINGLE_WEIGHT = 0.2
 class Recipe:
     """All that decides the weights, with the robot."""
 
-    drives: int = 3000
-    epochs: int = 24
+    drives: int
+    epochs: int
     hidden: tuple[int, int] = (32, 16)
     """Units of the two hidden layers."""
     batch: int = 12
@@ -60,13 +60,15 @@ class Recipe:
 
 
 def initial(rng: np.random.Generator, hidden: tuple[int, int]) -> Layers:
-    """Random layers of the right scale for ReLU units; the output begins at zero."""
+    """Random layers of the right scale for ReLU units; the output begins near the prior: looks say nothing."""
     sizes = [INPUTS, *hidden, 1]
-    gain = [np.sqrt(2.0 / n) for n in sizes[:-2]] + [0.1]
-    return [
+    gain = [np.sqrt(2.0 / n) for n in sizes[:-2]] + [0.02]
+    layers = [
         ((g * rng.standard_normal((m, n))).astype(np.float32), np.zeros(n, dtype=np.float32))
         for g, m, n in zip(gain, sizes[:-1], sizes[1:], strict=True)
     ]
+    layers[-1][1][:] = logit(PRIOR)
+    return layers
 
 
 def _mirrored(x: Float[Array, "*n 4"], flip: Array, sign: float) -> Float[Array, "*n 4"]:
