@@ -10,14 +10,14 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from importlib import resources
 from pathlib import Path
-from typing import Literal, NoReturn
+from typing import Annotated, Literal, NoReturn
 
 import numpy as np
 import tyro
 from jaxtyping import Float
 from numpy import ndarray
 from tqdm import tqdm
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from echogrid import __version__
 from echogrid.acoustics import BEAMS, Physics
@@ -60,16 +60,16 @@ class Map:
     (what was done). Without LOG it maps the sample that ships with echogrid, a simulated drive of a B21.
     """
 
-    log: Positional[str | None] = None
+    log: Annotated[Positional[str | None], arg(metavar="[LOG]")] = None
     """CSV or CARMEN log."""
-    robot: str | None = None
+    robot: Annotated[str | None, arg(metavar="NAME|FILE")] = None
     """Preset or robot file. Default: the robot that the log describes, else b21 if the log has 24 sonars."""
     out: Path = Path("out")
     """Folder for the map."""
     resolution: float = 0.12
     """Side of a cell of the map, m."""
     interpreter: str = "network"
-    """``network`` (weights that ship with echogrid), ``cone``, or a weights file."""
+    """network (weights that ship with echogrid), cone, or a weights file."""
     refine: bool = False
     """Clean the finished map with a 3x3 neighbourhood mask."""
 
@@ -120,14 +120,14 @@ class Simulate:
     The truth (LOG with the ending .truth.npz) holds what the drive could see up to 1.4 m from its path.
     """
 
-    world: Positional[str]
+    world: Annotated[Positional[str], arg(metavar="WORLD")]
     """World file, or a shipped one: sample, corridor, lab."""
-    robot: str
+    robot: Annotated[str, arg(metavar="NAME|FILE")]
     """Preset or robot file."""
     out: Path
     """The log to write (CSV)."""
     drive: str = "auto"
-    """File of waypoints (x,y in m, a line each), or ``auto``: a tour of the whole room."""
+    """File of waypoints (x,y in m, a line each), or auto: a tour of the whole room."""
     walls: Literal["smooth", "rough", "as-given"] = "as-given"
     """Make all walls smooth or rough."""
     seed: int = 0
@@ -152,12 +152,10 @@ class Simulate:
         poses = np.round(poses, 6)
         frames = Simulator(world, robot, self.physics).frames(poses, self.seed)
         rounded = (Frame(round(f.stamp, 3), f.pose, np.round(f.ranges, 4)) for f in frames)
-        if not self.out.name:
-            raise unwritable(self.out, "a folder")
-        truth = self.out.with_suffix(".truth.npz")
-        with replacing(truth) as new:  # the log and its truth appear together
-            write_truth(new, truth_of(world, poses))
-            write_csv(self.out, _bar(rounded, "simulating", "scan", len(poses)), robot.sonars)
+        with replacing(self.out) as log:  # it appears only when its truth is there
+            write_csv(log, _bar(rounded, "simulating", "scan", len(poses)), robot.sonars)
+            truth = self.out.with_suffix(".truth.npz")
+            write_truth(truth, truth_of(world, poses))
         length = np.sum(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))
         print(f"{world.name}: {len(poses)} scans of {robot.name} over {length:.1f} m in {self.out}, truth in {truth}")
 
@@ -169,9 +167,9 @@ class Scan:
     Writes scan.csv and scan.png: the ranges, and the scan over the plan of the world.
     """
 
-    world: Positional[str]
+    world: Annotated[Positional[str], arg(metavar="WORLD")]
     """World file, or a shipped one."""
-    at: str
+    at: Annotated[str, arg(metavar="X,Y")]
     """Where: X,Y in m."""
     out: Path = Path("out")
     """Folder for the scan."""
@@ -215,8 +213,8 @@ class Train:
     Takes up again where it was stopped, from OUT.checkpoint.npz, if the settings are the same.
     """
 
-    robot: str
-    """Preset, robot file, or ``any``: a new array for each drive, as for the weights that ship."""
+    robot: Annotated[str, arg(metavar="NAME|FILE")]
+    """Preset, robot file, or any: a new array for each drive, as for the weights that ship."""
     out: Path
     """The weights to write (.npz)."""
     drives: int = 5000
@@ -252,9 +250,9 @@ class Score:
     cells shown occupied; auc, nll, brier, ece: how well the probabilities tell surface from free.
     """
 
-    map: Positional[Path]
+    map: Annotated[Positional[Path], arg(metavar="MAP")]
     """Map folder, map.npz or map_server map.yaml."""
-    truth: Positional[Path]
+    truth: Annotated[Positional[Path], arg(metavar="TRUTH")]
     """Truth grid (.npz)."""
 
     def run(self) -> None:
@@ -270,9 +268,9 @@ class Score:
 class Info:
     """Say what is in a log."""
 
-    log: Positional[Path]
+    log: Annotated[Positional[Path], arg(metavar="LOG")]
     """CSV or CARMEN log."""
-    robot: str | None = None
+    robot: Annotated[str | None, arg(metavar="NAME|FILE")] = None
     """Preset or robot file, for its range limits. Without it, readings count as they are."""
 
     def run(self) -> None:
@@ -325,9 +323,9 @@ def _open(log_file: str | None, robot_name: str | None) -> tuple[Log, Robot, boo
     return load_log(log_file, robot), robot, False
 
 
-def _bar[T](items: Iterable[T], what: str, unit: str, total: int | None = None) -> Iterable[T]:
+def _bar[T](items: Iterable[T], what: str, unit: str, total: int | None = None) -> Iterator[T]:
     """A progress bar round an iterable; silent where there is no terminal."""
-    return tqdm(items, desc=what, unit=unit, total=total, disable=None, leave=False)
+    return iter(tqdm(items, desc=what, unit=unit, total=total, disable=None, leave=False))
 
 
 _PHYSICS_LIMITS = {

@@ -148,20 +148,21 @@ def random_world(rng: np.random.Generator, shape: str, walls: str = "any") -> Wo
 
 
 def random_physics(rng: np.random.Generator) -> Physics:
-    """Air, ranging module and surfaces as they may be anywhere; one time in five Leonard's model taken strictly."""
-    strict = rng.random() < 0.2
+    """Air, ranging module and surfaces as they may be anywhere; one time in four Leonard's model taken strictly."""
+    strict = bool(rng.random() < 0.25)
+    beam = str(rng.choice(["bessel", "gaussian", "impulse", "cone"], p=[0.65, 0.2, 0.1, 0.05]))
+    # From modules that hear little but what they face, to such that hear side lobes and long ways round.
+    level = rng.choice([rng.uniform(18, 30), rng.uniform(28, 48), rng.uniform(45, 65)], p=[0.4, 0.45, 0.15])
     return Physics(
-        beam="cone"
-        if strict
-        else str(rng.choice(["bessel", "gaussian", "impulse", "cone"], p=[0.65, 0.2, 0.1, 0.05])),
-        axis_ray=bool(strict),
+        beam="cone" if strict else beam,
+        axis_ray=strict or bool(rng.random() < 0.15),
         temperature_c=rng.uniform(10, 30),
         humidity_percent=rng.uniform(20, 80),
-        level_db=rng.choice([rng.uniform(28, 48), rng.uniform(45, 65)], p=[0.7, 0.3]),
+        level_db=rng.uniform(18, 34) if strict else level,
         gain_ramp_db=rng.uniform(0, 25),
         reflection_loss_db=rng.choice([rng.uniform(0, 1), rng.uniform(0, 8)]),
         edge_db=rng.uniform(-40, -16),
-        diffuse_db=rng.uniform(-8, 6),
+        diffuse_db=rng.uniform(-20, 0) if strict else rng.uniform(-8, 6),
         facet_db=rng.choice([-60.0, rng.uniform(-30, 0)]),
         facet_slope_deg=rng.uniform(2, 10),
         level_noise_db=rng.uniform(0.5, 4),
