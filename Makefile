@@ -43,7 +43,7 @@ bench: $(READY)  ## speed and memory (about 3 minutes)
 study: $(READY)  ## score the network and the cone on held-out rooms (about 4 minutes)
 	$(BIN)/python experiments/held_out.py
 
-weights: $(READY)  ## train the weights that ship (about 25 minutes on 2 cores)
+weights: $(READY)  ## train the weights that ship (about 10 minutes on 2 cores)
 	$(BIN)/echogrid train --robot any --drives 8000 --epochs 30 --out src/echogrid/weights/any.npz
 
 clean:  ## remove the virtual environment and everything made

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 from scipy import special
 
@@ -71,26 +71,26 @@ class Physics:
 class Acoustics(NamedTuple):
     """Physics and a transducer turned into the numbers that the simulator reads; a JAX pytree."""
 
-    beam_db: Float[Array | ndarray, "*n 708"]
+    beam_db: Float[ndarray, "*n 708"]
     """One-way beam level against the chord of the angle off the axis, in steps of CHORD_STEP."""
-    wavelength: Float[Array | ndarray, "*n"] | float
-    absorption: Float[Array | ndarray, "*n"] | float
+    wavelength: Float[ndarray, "*n"] | float
+    absorption: Float[ndarray, "*n"] | float
     """One-way absorption, dB/m."""
-    level_db: Float[Array | ndarray, "*n"] | float
-    gain_ramp_db: Float[Array | ndarray, "*n"] | float
-    reflection_loss_db: Float[Array | ndarray, "*n"] | float
-    edge_db: Float[Array | ndarray, "*n"] | float
-    patch_db: Float[Array | ndarray, "*n"] | float
+    level_db: Float[ndarray, "*n"] | float
+    gain_ramp_db: Float[ndarray, "*n"] | float
+    reflection_loss_db: Float[ndarray, "*n"] | float
+    edge_db: Float[ndarray, "*n"] | float
+    patch_db: Float[ndarray, "*n"] | float
     """Level of a Lambert wall that fills the beam at normal incidence."""
-    facet_db: Float[Array | ndarray, "*n"] | float
-    facet_slope: Float[Array | ndarray, "*n"] | float
+    facet_db: Float[ndarray, "*n"] | float
+    facet_slope: Float[ndarray, "*n"] | float
     """Tangent."""
-    axis_ray: Bool[Array | ndarray, "*n"] | bool
-    patch_rad: Float[Array | ndarray, "*n"] | float
+    axis_ray: Bool[ndarray, "*n"] | bool
+    patch_rad: Float[ndarray, "*n"] | float
     """Two-way -3 dB half angle of the beam."""
-    pulse: Float[Array | ndarray, "*n"] | float
+    pulse: Float[ndarray, "*n"] | float
     """Half the length of the burst in air, c tau / 2, m."""
-    walk: Float[Array | ndarray, "*n"] | float
+    walk: Float[ndarray, "*n"] | float
     """Range error of an echo that just reaches the threshold, m."""
 
 

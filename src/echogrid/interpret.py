@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
@@ -43,6 +43,7 @@ HALF_M = LOCAL_CELLS * LOCAL_CELL_M / 2
 _FORMAT = "echogrid-mlp-1"
 
 
+@runtime_checkable
 class Interpreter(Protocol):
     """What the mapper needs of a sensor model."""
 

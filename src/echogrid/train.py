@@ -63,12 +63,12 @@ def initial(rng: np.random.Generator, hidden: tuple[int, int]) -> Layers:
     """Random layers of the right scale for ReLU units; the output begins near the prior: looks say nothing."""
     sizes = [INPUTS, *hidden, 1]
     gain = [np.sqrt(2.0 / n) for n in sizes[:-2]] + [0.02]
-    layers = [
-        ((g * rng.standard_normal((m, n))).astype(np.float32), np.zeros(n, dtype=np.float32))
-        for g, m, n in zip(gain, sizes[:-1], sizes[1:], strict=True)
+    bias = [np.zeros(n, dtype=np.float32) for n in sizes[1:]]
+    bias[-1][:] = logit(PRIOR)
+    return [
+        ((g * rng.standard_normal((m, n))).astype(np.float32), b)
+        for g, m, n, b in zip(gain, sizes[:-1], sizes[1:], bias, strict=True)
     ]
-    layers[-1][1][:] = logit(PRIOR)
-    return layers
 
 
 def _mirrored(x: Float[Array, "*n 4"], flip: Array, sign: float) -> Float[Array, "*n 4"]:
