@@ -44,7 +44,7 @@ study: $(READY)  ## score the network and the cone on held-out rooms (about 4 mi
 	$(BIN)/python experiments/held_out.py
 
 weights: $(READY)  ## train the weights that ship (about 10 minutes on 2 cores)
-	$(BIN)/echogrid train --robot any --drives 8000 --epochs 30 --out src/echogrid/weights/any.npz
+	$(BIN)/echogrid train --robot any --drives 6000 --epochs 24 --out src/echogrid/weights/any.npz
 
 clean:  ## remove the virtual environment and everything made
 	rm -rf .venv out build dist .pytest_cache .ruff_cache .hypothesis

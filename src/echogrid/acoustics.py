@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
-from scipy import special
 
 from echogrid.robot import Transducer
 
@@ -114,6 +113,8 @@ def absorption(frequency_hz: float, temperature_c: float, humidity_percent: floa
 
 def bessel_beam(transducer: Transducer, c: float, angle: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
     """Amplitude of a circular piston, 2 J1(x)/x with x = k a sin(angle) (McKerrow and Hallam)."""
+    from scipy import special  # takes a tenth of a second, which reading a log should not cost
+
     x = 2 * np.pi * transducer.frequency_hz / c * transducer.aperture_radius_m * np.sin(angle)
     x = np.maximum(np.abs(x), 1e-9)
     return np.abs(2 * special.j1(x) / x)

@@ -367,14 +367,18 @@ def main(args: list[str] | None = None) -> None:
     except MemoryError:
         _fail("memory: found too little, expected more for a job of this size")
     except KeyboardInterrupt:
-        print("echogrid: stopped", file=sys.stderr)
-        sys.exit(130)
+        _stop()
     except BrokenPipeError:
         _drop_output()
         sys.exit(0)
     except OSError as error:
         _drop_output()
         _fail(f"{error.filename or 'output'}: found {error.strerror or error}, expected a file that can be used")
+    except Exception as error:
+        # NumPy turns a Ctrl-C that comes while it waits for JAX into a ValueError.
+        if not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+        _stop()
 
 
 def _run(args: list[str]) -> None:
@@ -384,6 +388,11 @@ def _run(args: list[str]) -> None:
     tyro.extras.subcommand_cli_from_dict(
         COMMANDS, prog="echogrid", description="Occupancy maps from ultrasonic ranges.", args=args
     ).run()
+
+
+def _stop() -> NoReturn:
+    print("echogrid: stopped", file=sys.stderr)
+    sys.exit(130)
 
 
 def _fail(text: str) -> NoReturn:

@@ -10,6 +10,7 @@ from scipy import ndimage, sparse
 
 from echogrid.errors import InputError, UsageError
 from echogrid.geometry import wrap
+from echogrid.grid import MAX_CELLS
 from echogrid.metrics import Truth
 from echogrid.world import World, inside_room
 
@@ -81,7 +82,7 @@ def tour(world: World, clearance: float) -> Float[ndarray, "frames 3"]:
     largest one that is shut in by walls, or else the largest one.
 
     Raises:
-        UsageError: no free space to drive in.
+        UsageError: no free space to drive in, or ``world.start`` is not in it.
     """
     low, high = world.bounds()
     cell = max(0.1, float(np.sqrt(np.prod(high - low) / _MAX_NODES)))
@@ -101,8 +102,12 @@ def tour(world: World, clearance: float) -> Float[ndarray, "frames 3"]:
     left = set(stops.tolist()) - {here}
     path = [here]
     while left:
-        cost, before = sparse.csgraph.dijkstra(graph, indices=here, return_predecessors=True)
-        goal = min(left, key=lambda n: cost[n])
+        # The next stop is near almost always; only where it is not is the whole room searched.
+        for limit in (4 * _LATTICE_M, np.inf):
+            cost, before = sparse.csgraph.dijkstra(graph, indices=here, return_predecessors=True, limit=limit)
+            goal = min(left, key=lambda n: cost[n])
+            if np.isfinite(cost[goal]):
+                break
         if not np.isfinite(cost[goal]):
             break
         back = [goal]
@@ -120,6 +125,8 @@ def _room(world: World, points: Float[ndarray, "n 2"], open_: Bool[ndarray, "ny 
         return open_
     if world.start is not None:
         there = labels.ravel()[np.argmin(np.linalg.norm(points - world.start, axis=1))]
+        if there == 0:
+            raise UsageError(f"world {world.name}: start: found a point too near a wall, expected free space")
         return (labels == there) & open_
     shut = inside_room(world, points).reshape(open_.shape) & open_
     sizes = np.bincount(labels[shut if shut.any() else open_], minlength=count + 1)
@@ -177,12 +184,20 @@ def truth_of(world: World, poses: Float[ndarray, "frames 3"], resolution: float 
     Surface: the cells in which sight lines end, each end moved 1 cm into the wall. Free: cells that are not
     surface and whose centre a sight line passes. Hidden: all else, and all farther than ``reach`` (m) from
     the path.
+
+    Raises:
+        UsageError: the grid would pass MAX_CELLS.
     """
     path = poses
     path = path[_spaced(path, 0.1)]
     low = np.floor((path[:, :2].min(axis=0) - reach) / resolution).astype(int) - 1
     high = np.ceil((path[:, :2].max(axis=0) + reach) / resolution).astype(int) + 1
     cols, rows = high - low
+    if float(cols) * float(rows) > MAX_CELLS:
+        raise UsageError(
+            f"truth: found a drive that spans {cols * resolution:.6g} x {rows * resolution:.6g} m, expected at most "
+            f"{MAX_CELLS:.0e} cells of {resolution} m"
+        )
     cells = np.full((rows, cols), 2, dtype=np.int8)
     rays = max(360, round(2 * np.pi * reach / (resolution / 3)))
     bearing = np.arange(rays) * (2 * np.pi / rays)

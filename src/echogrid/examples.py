@@ -17,6 +17,7 @@ from tqdm import tqdm
 from echogrid.acoustics import acoustics
 from echogrid.drive import truth_of
 from echogrid.echo import Scene
+from echogrid.errors import UsageError
 from echogrid.geometry import inverse, transform
 from echogrid.interpret import HALF_M, LOCAL_CELL_M, LOCAL_CELLS, Zone, zone_of
 from echogrid.mapping import in_cells, local_cells
@@ -40,6 +41,9 @@ SHAPE_SHARES = {"contour": 0.3, "room": 0.4, "corridor": 0.2, "hall": 0.1}
 
 _WALLS = _TARGETS = 40
 """Walls and targets of a scene; worlds with more are drawn again."""
+
+_MOST_TRIES = 500
+"""Worlds that are tried for a drive before the robot is given up as too large for them."""
 
 _CHUNK = 16
 """Drives that are simulated together."""
@@ -124,7 +128,7 @@ def _points_of(rng: np.random.Generator, truth: Truth) -> tuple[Float[ndarray, "
 
 
 def _drive(rng: np.random.Generator, robot: Robot) -> _Drive:
-    while True:
+    for _ in range(_MOST_TRIES):
         shape = str(rng.choice(list(SHAPE_SHARES), p=list(SHAPE_SHARES.values())))
         world = random_world(rng, shape)
         if len(world.walls) > _WALLS or len(world.vertices[1]) + len(world.cylinders) > _TARGETS:
@@ -137,6 +141,10 @@ def _drive(rng: np.random.Generator, robot: Robot) -> _Drive:
             continue
         off = rng.choice([0.0, 0.01, 0.02]) * rng.standard_normal((FRAMES, 3)) * [1, 1, 0.5]
         return _Drive(world, robot, poses, poses + off, *points)
+    raise UsageError(
+        f"robot {robot.name}: found no room to drive in among {_MOST_TRIES}, expected a footprint_radius_m of "
+        f"less than about 1 m (it is {robot.footprint_radius_m:g})"
+    )
 
 
 def _views(rng: np.random.Generator, drive: _Drive, zone: Zone, ranges: Float[ndarray, "frames sonars"]) -> Examples:
@@ -216,5 +224,5 @@ def _bent(rng: np.random.Generator, mounts: Float[ndarray, "sonars 3"]) -> Float
     return mounts + rng.choice([0.0, 1.0]) * rng.standard_normal(mounts.shape) * [0.004, 0.004, 0.02]
 
 
-def _stack[T: NamedTuple](items: list[T]) -> T:
+def _stack[T: tuple](items: list[T]) -> T:
     return type(items[0])(*(np.stack([np.asarray(v) for v in field]) for field in zip(*items, strict=True)))

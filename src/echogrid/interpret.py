@@ -125,7 +125,7 @@ INPUTS = 25
 """The network's inputs: those of the readings, of what lies beyond, and of the place, in this order."""
 
 
-Layers = list[tuple[Float[Array | ndarray, "fan_in fan_out"], Float[Array | ndarray, "fan_out"]]]
+Layers = list[tuple[Float[Array | ndarray, "_ _"], Float[Array | ndarray, "_"]]]
 
 
 def forward(layers: Layers, x: Float[Array, "*n fan_in"]) -> Float[Array, "*n"]:
@@ -221,7 +221,7 @@ class Network:
         """
         expected = f"a weights file ({_FORMAT}, made by echogrid train)"
         try:
-            with np.load(path, allow_pickle=False) as data:
+            with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
                 if str(data["format"]) == _FORMAT:
                     count = sum(key.startswith("w") for key in data.files)
                     layers = [(data[f"w{i}"], data[f"b{i}"]) for i in range(count)]

@@ -114,7 +114,7 @@ def parse_yaml(text: str, where: str) -> dict[str, Any]:
     except Exception:  # PyYAML lets out errors of many kinds for tags whose value does not fit
         raise InputError(where, "a value that does not fit its tag, or nested too deep", "YAML") from None
     if not isinstance(data, dict):
-        raise InputError(where, _show(data), "a mapping of keys to values")
+        raise InputError(where, shown(data), "a mapping of keys to values")
     return data
 
 
@@ -123,7 +123,7 @@ class Keys:
 
     def __init__(self, where: str, data: object, prefix: str = "", allowed: frozenset[str] | None = None):
         if not isinstance(data, Mapping):
-            raise InputError(f"{where}: {prefix}".removesuffix(": "), _show(data), "a mapping")
+            raise InputError(f"{where}: {prefix}".removesuffix(": "), shown(data), "a mapping")
         self.where, self.data, self.prefix = where, data, prefix
         unknown = [key for key in data if allowed is not None and key not in allowed]
         if unknown:
@@ -148,18 +148,18 @@ class Keys:
     def text(self, key: str) -> str:
         """A text that is not empty."""
         value = self.take(key)
-        if not isinstance(value, str) or not value:
-            raise InputError(self.at(key), _show(value), "a text")
+        if not isinstance(value, str) or not value or not value.isprintable():
+            raise InputError(self.at(key), shown(value), "a printable text")
         return value
 
     def rows(self, key: str, width: int, low: float, high: float, least: int = 1) -> Float[ndarray, "n width"]:
         """A list of at least ``least`` rows of ``width`` numbers in [low, high]."""
         value = self.take(key)
         if not isinstance(value, list) or len(value) < least:
-            raise InputError(self.at(key), _show(value), f"a list of {least} or more rows")
+            raise InputError(self.at(key), shown(value), f"a list of {least} or more rows")
         for i, row in enumerate(value):
             if not isinstance(row, list) or len(row) != width:
-                raise InputError(f"{self.at(key)}[{i}]", _show(row), f"{width} numbers")
+                raise InputError(f"{self.at(key)}[{i}]", shown(row), f"{width} numbers")
         return np.array(
             [[as_number(v, low, high, f"{self.at(key)}[{i}]") for v in row] for i, row in enumerate(value)]
         )
@@ -170,13 +170,14 @@ def as_number(value: object, low: float, high: float, where: str) -> float:
     if isinstance(value, str) and re.fullmatch(r"[-+]?\d+[eE][-+]?\d+", value):
         value = float(value)  # YAML 1.1 takes 1e-1 for a text
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(where, _show(value), "a number")
+        raise InputError(where, shown(value), "a number")
     if not low <= value <= high:
-        raise InputError(where, _show(value), f"a number from {low:g} to {high:g}")
+        raise InputError(where, shown(value), f"a number from {low:g} to {high:g}")
     return float(value)
 
 
-def _show(value: object) -> str:
+def shown(value: object) -> str:
+    """A value from a file as a short text for a message."""
     return "nothing" if value is None else reprlib.repr(value)
 
 
@@ -213,7 +214,7 @@ def parse_robot(text: str, where: str) -> Robot:
         raise InputError(top.at("mounts"), f"{len(mounts)} rows", f"at most {MAX_SONARS}")
     far = np.flatnonzero(np.max(np.abs(mounts[:, :2]), axis=1) > 10.0)
     if far.size:
-        raise InputError(f"{top.at('mounts')}[{far[0]}]", _show(mounts[far[0]].tolist()), "x and y within 10 m")
+        raise InputError(f"{top.at('mounts')}[{far[0]}]", shown(mounts[far[0]].tolist()), "x and y within 10 m")
     mounts[:, 2] = np.deg2rad(mounts[:, 2])
     return Robot(
         name=top.text("name"),
@@ -231,6 +232,9 @@ def _transducer(sonar: Keys) -> Transducer:
         name = sonar.text("transducer")
         if name not in TRANSDUCERS:
             raise InputError(sonar.at("transducer"), name, f"one of {', '.join(TRANSDUCERS)}")
+        for key in ("frequency_hz", "aperture_radius_m", "cycles"):
+            if key in sonar.data:
+                raise InputError(sonar.at(key), "this key beside transducer", "one or the other")
         return TRANSDUCERS[name]
     return Transducer(
         "custom",

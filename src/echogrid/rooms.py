@@ -148,11 +148,11 @@ def random_world(rng: np.random.Generator, shape: str, walls: str = "any") -> Wo
 
 
 def random_physics(rng: np.random.Generator) -> Physics:
-    """Air, ranging module and surfaces as they may be anywhere; one time in four Leonard's model taken strictly."""
-    strict = bool(rng.random() < 0.25)
+    """Air, ranging module and surfaces as they may be anywhere; one time in five Leonard's model taken strictly."""
+    strict = bool(rng.random() < 0.2)
     beam = str(rng.choice(["bessel", "gaussian", "impulse", "cone"], p=[0.65, 0.2, 0.1, 0.05]))
     # From modules that hear little but what they face, to such that hear side lobes and long ways round.
-    level = rng.choice([rng.uniform(18, 30), rng.uniform(28, 48), rng.uniform(45, 65)], p=[0.4, 0.45, 0.15])
+    level = rng.choice([rng.uniform(18, 30), rng.uniform(28, 48), rng.uniform(45, 65)], p=[0.1, 0.65, 0.25])
     return Physics(
         beam="cone" if strict else beam,
         axis_ray=strict or bool(rng.random() < 0.15),
@@ -189,7 +189,7 @@ def _preset_mounts() -> tuple[Float[ndarray, "sonars 3"], ...]:
 
 def random_robot(rng: np.random.Generator) -> Robot:
     """A preset, an even ring, an uneven array, a fan to the front, or a few sonars, with a random transducer."""
-    kind = rng.choice(["preset", "ring", "uneven", "front", "few"], p=[0.4, 0.2, 0.1, 0.1, 0.2])
+    kind = rng.choice(["preset", "ring", "uneven", "front", "few"], p=[0.35, 0.15, 0.1, 0.1, 0.3])
     limits = (rng.uniform(0.1, 0.3), rng.choice([2.5, 3.0, 4.0, 5.0, 6.0, 10.0]))
     if kind == "preset":
         mounts = _preset_mounts()[rng.integers(0, len(_preset_mounts()))]

@@ -189,6 +189,8 @@ def train(robot: Robot | None, recipe: Recipe, out: Path, progress: bool = False
     drives_file, checkpoint = out.with_suffix(".drives.npz"), out.with_suffix(".checkpoint.npz")
     kept = _read_arrays(drives_file, key)
     if kept is None:
+        with replacing(checkpoint):
+            pass  # where nothing can be written, say so before the work
         examples = generate(robot, recipe.drives, recipe.seed, progress)
         _write_arrays(drives_file, key, examples)
     else:
@@ -210,7 +212,7 @@ def _write_arrays(path: Path, key: str, arrays: Sequence[ndarray | Array]) -> No
 def _read_arrays(path: Path, key: str) -> list[ndarray] | None:
     """What was written under the same key; None: nothing, something else or a damaged file."""
     try:
-        with np.load(path, allow_pickle=False) as data:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
             return [data[f"a{i}"] for i in range(len(data.files) - 1)] if str(data["key"]) == key else None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None

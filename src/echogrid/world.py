@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from echogrid.errors import InputError, UsageError
-from echogrid.robot import Keys, as_number, parse_yaml
+from echogrid.robot import Keys, as_number, parse_yaml, shown
 
 SMOOTH_M, ROUGH_M = 0.05e-3, 2.0e-3
 """Rms heights of a mirror (varnished wood) and of the paper's almost ideal wall (granulated paint)."""
@@ -232,7 +232,7 @@ def world_names() -> list[str]:
 
 
 def polyline(
-    points: Sequence[Sequence[float]] | Float[ndarray, "n 2"], closed: bool = False
+    points: Sequence[Sequence[float] | Float[ndarray, "2"]] | Float[ndarray, "n 2"], closed: bool = False
 ) -> Float[ndarray, "m 4"]:
     """The walls along a line of points (m)."""
     line = np.asarray(points, dtype=float)
@@ -286,14 +286,14 @@ def parse_world(text: str, where: str) -> World:
 def _items(keys: Keys, key: str) -> list[object]:
     value = keys.data.get(key, [])
     if not isinstance(value, list):
-        raise InputError(keys.at(key), repr(value)[:60], "a list")
+        raise InputError(keys.at(key), shown(value), "a list")
     return value
 
 
 def _point(keys: Keys, key: str) -> tuple[float, float]:
     value = keys.take(key)
     if not isinstance(value, list) or len(value) != 2:
-        raise InputError(keys.at(key), repr(value)[:60], "two numbers [x, y]")
+        raise InputError(keys.at(key), shown(value), "two numbers [x, y]")
     x, y = (as_number(v, -1e4, 1e4, keys.at(key)) for v in value)
     return x, y
 

@@ -1,0 +1,235 @@
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from echogrid.errors import UsageError
+from echogrid.grid import P_MAX, P_MIN, Grid, GrowingGrid, logit, sigmoid
+
+resolutions = st.sampled_from([0.05, 0.1, 0.12, 0.25, 1.0])
+origins = st.tuples(st.floats(-50, 50), st.floats(-50, 50))
+
+
+def grid_of(log_odds, observed=True, resolution=1.0, origin=(0.0, 0.0)):
+    log_odds = np.asarray(log_odds, dtype=np.float32)
+    return Grid(log_odds, np.full(log_odds.shape, observed), resolution, origin)
+
+
+@given(arrays(float, 5, elements=st.floats(1e-6, 1 - 1e-6)))
+def test_the_probability_of_its_log_odds_is_the_probability(p):
+    np.testing.assert_allclose(sigmoid(logit(p)), p, rtol=1e-9)
+
+
+@given(arrays(float, 5, elements=st.floats(-15, 15)))
+def test_the_log_odds_of_their_probability_are_the_log_odds(log_odds):
+    np.testing.assert_allclose(logit(sigmoid(log_odds)), log_odds, atol=1e-6)
+    np.testing.assert_allclose(sigmoid(-log_odds), 1 - sigmoid(log_odds), atol=1e-12)
+
+
+def test_log_odds_of_known_probabilities():
+    assert logit(0.5) == 0
+    assert logit(0.9) == pytest.approx(np.log(9))
+    assert sigmoid(0.0) == 0.5
+    np.testing.assert_array_equal(sigmoid(np.array([-1e4, 1e4])), [0, 1])
+
+
+def test_probabilities_are_read_out_within_their_limits():
+    p = grid_of([[-50, -1, 0, 1, 50]]).probability()
+    np.testing.assert_allclose(p, [[P_MIN, sigmoid(-1.0), 0.5, sigmoid(1.0), P_MAX]], rtol=1e-6)
+
+
+@given(arrays(int, (4, 2), elements=st.integers(-500, 500)), resolutions, origins)
+def test_the_cell_of_the_centre_of_a_cell_is_the_cell(index, resolution, origin):
+    grid = grid_of(np.zeros((3, 4)), resolution=resolution, origin=origin)
+    np.testing.assert_array_equal(grid.index_of(grid.centre_of(index)), index)
+
+
+@given(arrays(float, (4, 2), elements=st.floats(-50, 50)), resolutions, origins)
+def test_the_centre_of_the_cell_of_a_point_is_within_half_a_cell_of_it(points, resolution, origin):
+    grid = grid_of(np.zeros((3, 4)), resolution=resolution, origin=origin)
+    off = np.abs(grid.centre_of(grid.index_of(points)) - points)
+    assert off.max() <= resolution / 2 * (1 + 1e-6)
+
+
+def test_rows_go_up_in_y_and_columns_in_x():
+    grid = grid_of(np.zeros((3, 4)), resolution=0.5, origin=(-1.0, 2.0))
+    points = np.array([[-1.0, 2.0], [-0.9, 2.6], [0.9, 3.4], [-1.1, 2.0]])
+    np.testing.assert_array_equal(grid.index_of(points), [[0, 0], [1, 0], [2, 3], [0, -1]])
+    np.testing.assert_allclose(grid.centre_of(np.array([[0, 0], [2, 3]])), [[-0.75, 2.25], [0.75, 3.25]])
+
+
+@given(st.integers(-2000, 2000), st.integers(-2000, 2000), resolutions, st.integers(-300, 300))
+def test_a_point_on_a_border_belongs_to_the_upper_cell(row, col, resolution, first):
+    grid = grid_of(np.zeros((1, 1)), resolution=resolution, origin=(first * resolution, first * resolution))
+    corner = np.array([(first + col) * resolution, (first + row) * resolution])
+    np.testing.assert_array_equal(grid.index_of(corner), [row, col])
+
+
+@given(arrays(float, (5, 2), elements=st.floats(-3, 6)))
+def test_the_probability_at_a_point_is_that_of_its_cell_and_one_half_outside(points):
+    rng = np.random.default_rng(0)
+    grid = grid_of(rng.normal(0, 2, (3, 4)), resolution=0.5, origin=(0.5, 1.0))
+    for (x, y), p in zip(points, grid.probability_at(points), strict=True):
+        col, row = int((x - 0.5) // 0.5), int((y - 1.0) // 0.5)
+        if min(abs((x - 0.5) / 0.5 - round((x - 0.5) / 0.5)), abs((y - 1) / 0.5 - round((y - 1) / 0.5))) < 1e-6:
+            continue
+        held = 0 <= col < 4 and 0 <= row < 3
+        assert p == (grid.probability()[row, col] if held else 0.5)
+
+
+def test_a_map_without_cells_knows_nothing_anywhere():
+    grid = GrowingGrid(0.1).grid()
+    assert grid.shape == (0, 0)
+    np.testing.assert_array_equal(grid.probability_at(np.array([[0.0, 0.0], [3.0, 4.0]])), 0.5)
+
+
+def view(rng, low=-20, high=20):
+    shape = rng.integers(1, 9, 2)
+    evidence = rng.integers(-8, 9, shape).astype(np.float32) / 4
+    spoken = rng.random(shape) < 0.7
+    return rng.integers(low, high, 2), np.where(spoken, evidence, np.float32(0)), spoken
+
+
+def fused(views, resolution=0.5):
+    grown = GrowingGrid(resolution)
+    for corner, evidence, spoken in views:
+        grown.reserve(corner, corner + evidence.shape)
+        grown.fuse(corner, evidence, spoken)
+    return grown.grid()
+
+
+def plain_sum(views):
+    """The evidence of each cell by its row and column, and the cells of which a view spoke."""
+    total, spoken_of = {}, set()
+    for corner, evidence, spoken in views:
+        for i, j in np.ndindex(*evidence.shape):
+            cell = (int(corner[0] + i), int(corner[1] + j))
+            total[cell] = total.get(cell, 0.0) + float(evidence[i, j])
+            if spoken[i, j]:
+                spoken_of.add(cell)
+    return total, spoken_of
+
+
+@given(st.integers(0, 10_000), st.integers(1, 8))
+def test_a_cell_holds_the_sum_of_the_evidence_of_all_views_at_its_place(seed, count):
+    rng = np.random.default_rng(seed)
+    views = [view(rng) for _ in range(count)]
+    grid, (total, spoken_of) = fused(views), plain_sum(views)
+    first = np.rint(np.array(grid.origin[::-1]) / grid.resolution).astype(int)
+    np.testing.assert_array_equal(first, np.min([corner for corner, _, _ in views], axis=0))
+    last = np.max([corner + evidence.shape for corner, evidence, _ in views], axis=0)
+    np.testing.assert_array_equal(first + grid.shape, last)
+    for i, j in np.ndindex(*grid.shape):
+        cell = (int(first[0] + i), int(first[1] + j))
+        assert grid.log_odds[i, j] == total.get(cell, 0)
+        assert grid.observed[i, j] == (cell in spoken_of)
+
+
+@given(st.integers(0, 10_000), st.permutations(range(6)))
+def test_the_map_is_independent_of_the_order_of_the_views(seed, order):
+    rng = np.random.default_rng(seed)
+    views = [view(rng) for _ in range(6)]
+    one, other = fused(views), fused([views[i] for i in order])
+    assert one.origin == other.origin
+    np.testing.assert_array_equal(one.log_odds, other.log_odds)
+    np.testing.assert_array_equal(one.observed, other.observed)
+
+
+def test_a_view_that_says_nothing_changes_nothing():
+    rng = np.random.default_rng(0)
+    views = [view(rng) for _ in range(4)]
+    corner, evidence, _ = views[0]
+    silent = (corner, np.zeros_like(evidence), np.zeros(evidence.shape, dtype=bool))
+    one, other = fused(views), fused([*views, silent])
+    np.testing.assert_array_equal(one.log_odds, other.log_odds)
+    np.testing.assert_array_equal(one.observed, other.observed)
+
+
+@given(st.lists(st.tuples(st.integers(-400, 400), st.integers(-400, 400)), min_size=1, max_size=6))
+def test_growth_in_any_direction_keeps_what_was_there(corners):
+    grown = GrowingGrid(1.0)
+    one = np.ones((1, 1), dtype=np.float32)
+    for n, corner in enumerate(corners, start=1):
+        cell = np.array(corner)
+        grown.reserve(cell, cell + 1)
+        grown.fuse(cell, one, np.ones((1, 1), dtype=bool))
+        grid = grown.grid()
+        assert grid.log_odds.sum() == n
+        for past in set(corners[:n]):
+            index = tuple(np.array(past) - np.rint(grid.origin[::-1]).astype(int))
+            assert grid.log_odds[index] == corners[:n].count(past)
+            assert grid.observed[index]
+        assert grid.observed.sum() == len(set(corners[:n]))
+
+
+def test_memory_does_not_grow_with_the_number_of_views():
+    rng = np.random.default_rng(0)
+    grown = GrowingGrid(0.1)
+    corners = [np.array(corner) for corner in rng.integers(-100, 100, (800, 2)).tolist()]
+    patch, spoken = np.full((30, 30), 0.1, dtype=np.float32), np.ones((30, 30), dtype=bool)
+    grown.reserve(np.array([-100, -100]), np.array([130, 130]))
+    tracemalloc.start()
+    used = []
+    for n, corner in enumerate(corners):
+        grown.reserve(corner, corner + 30)
+        grown.fuse(corner, patch, spoken)
+        if n % 200 == 199:
+            used.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert max(used) - min(used) < 10_000
+
+
+def test_a_map_that_would_be_too_large_is_refused_in_one_line():
+    grown = GrowingGrid(0.1)
+    grown.reserve(np.array([0, 0]), np.array([10, 10]))
+    grown.fuse(np.array([0, 0]), np.ones((10, 10), dtype=np.float32), np.ones((10, 10), dtype=bool))
+    with pytest.raises(
+        UsageError, match=r"^map: found a drive that spans .* m at 0.1 m a cell, expected at most 4e\+08 cells"
+    ):
+        grown.reserve(np.array([0, 0]), np.array([10**6, 10**6]))
+
+
+def test_refined_worked_by_hand():
+    a = 2.0
+    log_odds = [
+        [a, a, a, a, 0],
+        [0, -1, 0, 0, 0],
+        [0, 0, 0, 0, 0],
+        [0, 0, 0, 0, a],
+        [a, a, 0, 0, 0],
+    ]
+    observed = np.ones((5, 5), dtype=bool)
+    observed[1, 2] = False
+    # Two cells below the bar have three neighbours in it: one is filled, of the other nobody spoke. The ends of the
+    # bar and of the pair have one neighbour, the single cell none: they are cleared.
+    np.testing.assert_array_equal(
+        grid_of(log_odds, observed).refined().log_odds,
+        [
+            [0, a, a, 0, 0],
+            [0, a, 0, 0, 0],
+            [0, 0, 0, 0, 0],
+            [0, 0, 0, 0, 0],
+            [0, 0, 0, 0, 0],
+        ],
+    )
+
+
+def test_refining_fills_a_hole_with_the_mean_of_its_neighbours_and_weakens_no_cell():
+    log_odds = np.full((5, 5), 1.0)
+    log_odds[2, 2], log_odds[1, 1] = -3.0, 3.0
+    refined = grid_of(log_odds).refined()
+    assert refined.log_odds[2, 2] == pytest.approx((7 + 3) / 8)
+    assert refined.log_odds[1, 1] == 3
+    assert refined.probability()[0, 0] == pytest.approx(sigmoid(np.mean([1.0, 1.0, 3.0])))
+
+
+@given(arrays(np.float32, (5, 6), elements=st.floats(-4, 4, width=32)), arrays(bool, (5, 6)))
+def test_refining_leaves_the_frame_of_the_map_and_what_nobody_spoke_of(log_odds, observed):
+    grid = Grid(log_odds, observed, 0.3, (1.0, -2.0))
+    refined = grid.refined()
+    assert (refined.resolution, refined.origin) == (grid.resolution, grid.origin)
+    np.testing.assert_array_equal(refined.observed, observed)
+    np.testing.assert_array_equal(refined.log_odds[~observed], log_odds[~observed])

@@ -1,0 +1,109 @@
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import echogrid
+
+PACKAGE = Path(echogrid.__file__).parent
+
+# A module imports only from modules to its left.
+ORDER = [
+    *("errors", "geometry", "files", "robot", "world", "acoustics", "rooms", "log"),
+    *("readers.lines", "readers.csv_log", "readers.carmen", "readers"),
+    *("grid", "metrics", "drive", "echo", "simulate", "interpret", "mapping", "examples", "train"),
+    *("picture", "mapfile", "cli"),
+]
+
+
+def modules():
+    for path in sorted(PACKAGE.rglob("*.py")):
+        name = ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix("__init__").rstrip(".")
+        if name:
+            yield name, ast.parse(path.read_text(encoding="utf-8"))
+
+
+TREES = dict(modules())
+
+
+def imported(tree):
+    """The modules of the package that a module imports, on top or in a function."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (name.name for name in node.names if name.name.split(".")[0] == "echogrid")
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports name the package"
+            if node.module == "echogrid":
+                yield from (f"echogrid.{name.name}" for name in node.names if name.name != "__version__")
+            elif node.module and node.module.startswith("echogrid."):
+                submodules = [f"{node.module}.{name.name}" for name in node.names]
+                below = [name for name in submodules if name.removeprefix("echogrid.") in TREES]
+                yield from below or [node.module]
+
+
+def calls(tree):
+    return {ast.unparse(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+
+
+def test_every_module_has_its_place():
+    assert sorted(TREES) == sorted(ORDER)
+
+
+@pytest.mark.parametrize("name", ORDER)
+def test_imports_run_one_way(name):
+    below = ORDER[: ORDER.index(name)]
+    assert [module for module in imported(TREES[name]) if module.removeprefix("echogrid.") not in below] == []
+
+
+def test_importing_the_package_imports_none_of_its_modules():
+    tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
+    run = [node for node in tree.body if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")]
+    assert list(imported(ast.Module(run, []))) == []
+
+
+@pytest.mark.parametrize("name", [name for name in ORDER if name != "cli"])
+def test_the_library_neither_prints_nor_exits(name):
+    said = calls(TREES[name]) & {"print", "pprint", "sys.stdout.write", "sys.stderr.write"}
+    left = calls(TREES[name]) & {"sys.exit", "exit", "quit", "os._exit", "SystemExit"}
+    assert not said
+    assert not left
+
+
+def loaded_after(code, *arguments):
+    """Names of the top packages that a fresh Python has loaded after some code."""
+    code += "\nimport sys; sys.__stdout__.write(' '.join({name.split('.')[0] for name in sys.modules}))"
+    command = [sys.executable, "-W", "error", "-c", code, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.split())
+
+
+def test_the_package_starts_without_jax():
+    assert loaded_after("import echogrid") & {"jax", "numpy", "scipy", "matplotlib"} == set()
+
+
+def test_the_command_starts_without_jax():
+    assert loaded_after("import echogrid.cli") & {"jax", "optax", "matplotlib"} == set()
+
+
+def test_a_log_is_read_and_described_without_jax(tmp_path):
+    log = tmp_path / "drive.csv"
+    log.write_text("t,x,y,theta,r0,r1\n0,1,2,0.5,1.5,inf\n0.5,1.25,2,0.5,,2.5\n")
+    code = """
+import sys
+from echogrid import Robot, load_log
+from echogrid.log import describe
+assert describe(load_log(sys.argv[1])).frames == 2
+assert Robot.load("b21").sonars == 24
+"""
+    assert loaded_after(code, log) & {"jax", "optax", "scipy", "matplotlib"} == set()
+
+
+def test_every_name_that_the_package_offers_is_there():
+    assert sorted(echogrid.__all__) == sorted(echogrid._HOME)
+    for name in echogrid.__all__:
+        assert getattr(echogrid, name).__module__.startswith("echogrid.")
+    with pytest.raises(AttributeError, match="module 'echogrid' has no attribute 'sonar'"):
+        echogrid.sonar  # noqa: B018
