@@ -9,8 +9,10 @@ from jaxtyping import install_import_hook
 # Array shapes in signatures are checked in all tests; an int will do where a float is asked for (PEP 484).
 install_import_hook("echogrid", "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
 
-# How long an example takes depends on what else the machine does.
-settings.register_profile("echogrid", deadline=None)
+# How long an example takes depends on what else the machine does. A change is judged by the same examples each time;
+# `pytest --hypothesis-profile=explore` looks for new ones.
+settings.register_profile("echogrid", deadline=None, derandomize=True)
+settings.register_profile("explore", deadline=None)
 settings.load_profile("echogrid")
 
 # A program that is traced twice in one run is compiled once; nothing is taken from or left for other runs.

@@ -98,8 +98,8 @@ def preset_names() -> list[str]:
     return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
 
 
-def parse_yaml(text: str, where: str) -> dict[str, Any]:
-    """Parse YAML whose top level is a mapping with text keys.
+def parse_yaml(text: str, where: str) -> dict[Any, Any]:
+    """Parse YAML whose top level is a mapping; a key may be of any kind.
 
     Raises:
         InputError: not YAML, or not such a mapping; the message carries the line.
