@@ -114,10 +114,10 @@ def numbered(path: Path) -> Iterator[tuple[int, bytes]]:
                 if len(line) > MAX_LINE:
                     _refuse_long_line(f"{name}:{number}")
                 yield number, line.removeprefix(codecs.BOM_UTF8) if number == 1 else line
-    except (OSError, ValueError) as error:
-        # ValueError: a name that holds a NUL.
-        found = getattr(error, "strerror", None) or str(error)
-        raise InputError(name, found, "a log file") from None
+    except OSError as error:
+        raise InputError(name, error.strerror or str(error), "a log file") from None
+    except ValueError:
+        raise InputError(name, "a name that holds a null byte", "a log file") from None
 
 
 def _refuse_odd_file(path: Path, name: str) -> None:
