@@ -83,6 +83,7 @@ def test_the_probability_at_a_point_is_that_of_its_cell_and_one_half_outside(poi
 def test_a_map_without_cells_knows_nothing_anywhere():
     grid = GrowingGrid(0.1).grid()
     assert grid.shape == (0, 0)
+    assert grid.origin == (0, 0)
     np.testing.assert_array_equal(grid.probability_at(np.array([[0.0, 0.0], [3.0, 4.0]])), 0.5)
 
 
@@ -217,11 +218,11 @@ def test_refined_worked_by_hand():
     )
 
 
-def test_refining_fills_a_hole_with_the_mean_of_its_neighbours_and_weakens_no_cell():
+def test_refining_fills_a_hole_with_the_mean_of_its_occupied_neighbours_and_weakens_no_cell():
     log_odds = np.full((5, 5), 1.0)
-    log_odds[2, 2], log_odds[1, 1] = -3.0, 3.0
+    log_odds[2, 2], log_odds[2, 3], log_odds[1, 1] = -3.0, -1.0, 3.0
     refined = grid_of(log_odds).refined()
-    assert refined.log_odds[2, 2] == pytest.approx((7 + 3) / 8)
+    assert refined.log_odds[2, 2] == pytest.approx((6 + 3) / 7)
     assert refined.log_odds[1, 1] == 3
     assert refined.probability()[0, 0] == pytest.approx(sigmoid(np.mean([1.0, 1.0, 3.0])))
 

@@ -301,7 +301,7 @@ DAMAGED = {
     "a prior of 0": saved(prior=0.0),
     "a prior that is no number": saved(prior=nan),
     "a prior of many": saved(prior=np.ones(3) / 2),
-    "weights that are objects": saved(w0=np.array([[None]])),
+    "weights that are objects": saved(w0=W0.astype(object)),
     "a folder in the archive": (lambda f: (zipfile.ZipFile(f, "w").close(), f.getvalue())[1])(io.BytesIO()),
 }
 

@@ -51,6 +51,7 @@ WRONG = {
         ": walls[1].points[1]: found a wall shorter than 1 cm",
     ),
     "negative roughness": ("roughness_mm: 2}", "roughness_mm: -2}", ": walls[1].roughness_mm: found -2"),
+    "true for a number": ("roughness_mm: 2}", "roughness_mm: true}", ": walls[1].roughness_mm: found True"),
     "closed by a number": ("closed: true", "closed: 1", ": walls[0].closed: found 1"),
     "unknown key of a wall": ("closed: true", "close: true", ": walls[0].close: found an unknown key"),
     "wall that is a list": ("{points: [[1, 2], [2, 2]], roughness_mm: 2}", "[1, 2]", ": walls[1]: found [1, 2]"),
