@@ -6,7 +6,7 @@ matplotlib is imported where it draws: it takes half a second, which only a pict
 import math
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +14,7 @@ from numpy import ndarray
 
 from echogrid.files import made, replacing
 from echogrid.grid import P_MAX, P_MIN, Grid, sigmoid
+from echogrid.regions import RegionOfConstantDepth, regions_of_constant_depth
 from echogrid.world import World
 
 if TYPE_CHECKING:
@@ -159,16 +160,18 @@ def write_scan(
 ) -> None:
     """Write scan.csv and scan.png (range against orientation; the scan over the plan) into a folder.
 
+    Both mark the regions of constant depth, numbered as they follow one another.
+
     Args:
         folder: made if it is not there.
         world: the plan.
         at: where the transducer is, m.
-        bearing: rad.
+        bearing: rad, in even steps counter-clockwise once round the circle.
         ranges: m; inf = no echo.
         title: what the picture shows.
 
     Raises:
-        UsageError: the folder cannot be written.
+        UsageError: the folder cannot be written, or the bearings are not as they should be.
     """
     from matplotlib.figure import Figure
 
@@ -177,6 +180,7 @@ def write_scan(
     figure.suptitle(title)
     degrees = np.rad2deg(bearing)
     heard = np.isfinite(ranges)
+    regions = regions_of_constant_depth(bearing, ranges)
     flat.plot(degrees[heard], ranges[heard], ".", ms=3, color="tab:red")
     top = float(np.max(ranges[heard], initial=1.0)) * 1.08
     flat.plot(degrees[~heard], np.full(np.sum(~heard), top), "|", ms=4, color="0.6", label="no echo")
@@ -192,12 +196,42 @@ def write_scan(
     y = at[1] + ranges[heard] * np.sin(bearing[heard])
     plan.plot(x, y, ".", ms=3, color="tab:red", label="echo, drawn along the axis")
     plan.plot(*at, "b^", ms=7, label="transducer")
+    draw_regions(flat, plan, at, regions)
     plan.plot([], [], "k-", lw=1.2, label="smooth wall")
     plan.plot([], [], "k", ls=(0, (3, 1)), lw=1.2, label="rough wall")
     plan.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
     handles = [*flat.get_legend_handles_labels()[0], *plan.get_legend_handles_labels()[0]]
-    figure.legend(handles=handles, loc="outside lower center", ncols=6, frameon=False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
+    number = {i: str(n) for n, region in enumerate(regions, 1) for i in region.readings}
+    rows = [f"{d:.3f},{r:.4f},{number.get(i, '')}" for i, (d, r) in enumerate(zip(degrees, ranges, strict=True))]
     with made(folder), replacing(folder / "scan.csv") as table, replacing(folder / "scan.png") as picture:
-        rows = [f"{d:.3f},{r:.4f}" for d, r in zip(degrees, ranges, strict=True)]
-        table.write_text("\n".join(["bearing_deg,range_m", *rows, ""]), encoding="utf-8")
+        table.write_text("\n".join(["bearing_deg,range_m,region", *rows, ""]), encoding="utf-8")
         figure.savefig(picture, dpi=120)
+
+
+def draw_regions(flat: "Axes", plan: "Axes", at: tuple[float, float], regions: list[RegionOfConstantDepth]) -> None:
+    """Mark regions in a drawn scan: a band under the readings of each, and its number beside the band's middle.
+
+    Args:
+        flat: range (m) against orientation (degrees, 0 to 360).
+        plan: x, y, m.
+        at: where the transducer is, m.
+        regions: in the order of their numbers.
+    """
+    band: dict[str, Any] = {"color": "tab:blue", "lw": 7, "alpha": 0.35, "solid_capstyle": "butt", "zorder": 1}
+    beside: dict[str, Any] = {"ha": "center", "va": "center", "color": "tab:blue", "textcoords": "offset points"}
+    for number, region in enumerate(regions, 1):
+        r = region.mean_range
+        first = np.rad2deg(region.first_bearing) % 360
+        last = first + np.rad2deg(region.width)
+        parts = [(first, last)] if last < 360 else [(first, 360.0), (0.0, last - 360)]
+        for part in parts:
+            flat.plot(part, [r, r], **band)
+        middle = np.mean(max(parts, key=lambda part: part[1] - part[0]))
+        flat.annotate(str(number), (middle, r), (0, 9), size="small", **beside)
+        bearing = region.first_bearing + np.linspace(0, region.width, 30)
+        plan.plot(at[0] + r * np.cos(bearing), at[1] + r * np.sin(bearing), **band)
+        x, y = np.cos(region.bearing), np.sin(region.bearing)
+        plan.annotate(str(number), (at[0] + r * x, at[1] + r * y), (10 * x, 10 * y), size="small", **beside)
+    if regions:
+        plan.plot([], [], **band, label="region of constant depth")
