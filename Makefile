@@ -7,7 +7,7 @@ BIN := .venv/bin
 READY := .venv/ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup map test check format bench study weights clean
+.PHONY: help setup map test check format bench study paper mrpt weights clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -35,13 +35,28 @@ format: $(READY)  ## put the code into shape
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-bench: $(READY)  ## speed and memory (about 3 minutes)
+bench: $(READY)  ## speed and memory (about 4 minutes)
 	$(BIN)/python benchmarks/simulator.py
 	$(BIN)/python benchmarks/mapping.py
+	$(BIN)/python benchmarks/models.py
 	$(BIN)/python benchmarks/memory.py
 
-study: $(READY)  ## score the network and the cone on held-out rooms (about 4 minutes)
-	$(BIN)/python experiments/held_out.py
+study: $(READY)  ## score the network and the cone on held-out rooms (about 5 minutes)
+	$(BIN)/python experiments/held_out.py network cone
+
+paper: $(READY)  ## the paper's figures, every model beside the network, and docs/results.md (about 30 minutes)
+	$(BIN)/python experiments/figures_2_3_4.py
+	$(BIN)/python experiments/figure_5.py
+	$(BIN)/python experiments/beams.py
+	$(BIN)/python experiments/figures_6_to_9.py
+	$(BIN)/python experiments/corridor8_map.py
+	$(BIN)/python experiments/ablation.py
+	$(BIN)/python experiments/held_out.py --record held_out
+	$(BIN)/python benchmarks/models.py --record
+	$(BIN)/python experiments/results.py
+
+mrpt:  ## build the MRPT peer for make paper and make bench (Debian packages, as root or through sudo)
+	benchmarks/mrpt/install.sh
 
 weights: $(READY)  ## train the weights that ship (about 10 minutes on 2 cores)
 	$(BIN)/echogrid train --robot any --drives 6000 --epochs 24 --out src/echogrid/weights/any.npz

@@ -12,8 +12,8 @@ import numpy as np
 
 from echogrid import Log, Robot, World, build_map, load_log
 from echogrid.drive import tour
-from echogrid.interpret import interpreter
 from echogrid.log import Frame
+from echogrid.models import sensor_model
 from echogrid.readers.csv_log import write_csv
 from echogrid.simulate import Simulator
 
@@ -32,7 +32,7 @@ def main() -> None:
     robot, log = Robot.load("b21"), long_log(SCANS)
     print(f"mapping: {SCANS} scans of {robot.sonars} sonars, cells of 0.12 m")
     for name in ("network", "cone"):
-        model = interpreter(name)
+        model = sensor_model(name)
         times = []
         for _ in range(RUNS + 1):
             steps = build_map(log, robot, model)

@@ -1,10 +1,10 @@
-"""The recorded corridor, mapped: measures and a picture, one panel a model.
+"""The recorded corridor, mapped by every model: measures and pictures.
 
-    python experiments/corridor8_map.py FOLDER [--out docs/corridor8.png] [MODEL ...]
+    python experiments/corridor8_map.py [FOLDER [MODEL ...]]
 
 FOLDER holds the recording (measurement.txt, poses.txt). There is no ground truth; what is known is that along
-x = 1 .. 9 m the right wall lies at y = -0.925 m and the left wall at y = +1.180 m. MODEL is ``network``, ``cone``
-or a weights file.
+x = 1 .. 9 m the right wall lies at y = -0.925 m and the left wall at y = +1.180 m. MODEL is a name or a weights file;
+without one all models are mapped, and the pictures and docs/paper/corridor8.json are written.
 """
 
 import argparse
@@ -15,12 +15,14 @@ from matplotlib.figure import Figure
 
 from corridor8_to_csv import frames
 from echogrid import Grid, Log, Robot, build_map
-from echogrid.interpret import interpreter
 from echogrid.metrics import FREE_BELOW, OCCUPIED_ABOVE
+from echogrid.models import MODELS, sensor_model
+from paper import draw_grid, draw_key, record, save
 
 RIGHT_M, LEFT_M = -0.925, 1.180
 X = np.arange(1.0, 9.0, 0.02)
 ROBOT = Path(__file__).parent / "corridor8.yaml"
+FOLDER = Path(__file__).parents[2] / "shared" / "data" / "corridor8"
 
 
 def _strip(grid: Grid, low: float, high: float) -> np.ndarray:
@@ -49,51 +51,52 @@ def measure(grid: Grid) -> dict[str, float]:
     }
 
 
-def draw(path: Path, maps: dict[str, Grid], drive: np.ndarray) -> None:
+def draw(maps: dict[str, Grid], drive: np.ndarray, columns: int, width: float, name: str) -> None:
     """All maps on one scale with the drive."""
-    figure = Figure(figsize=(6.2 * len(maps), 5.2), layout="constrained")
-    panels = figure.subplots(1, len(maps), sharex=True, sharey=True, squeeze=False)[0]
-    for axes, (name, grid) in zip(panels, maps.items(), strict=True):
-        rows, cols = grid.shape
-        (x, y), cell = grid.origin, grid.resolution
-        p = np.where(grid.observed, grid.probability(), 0.5)
-        shown = axes.imshow(
-            p, cmap="gray_r", vmin=0, vmax=1, origin="lower", extent=(x, x + cols * cell, y, y + rows * cell)
-        )
-        axes.plot(*drive.T, color="tab:blue", lw=1.0, label="drive")
-        axes.plot(
-            X[[0, -1]], [RIGHT_M] * 2, color="tab:red", lw=0.8, ls="--", label="walls as measured, x = 1 .. 9 m"
-        )
-        axes.plot(X[[0, -1]], [LEFT_M] * 2, color="tab:red", lw=0.8, ls="--")
-        axes.set(title=name, xlabel="x (m)", xlim=(-2, 19), ylim=(-11.5, 3))
-        axes.set_facecolor("0.5")
-    panels[0].set_ylabel("y (m)")
-    panels[0].legend(loc="lower left", fontsize="small")
-    bar = figure.colorbar(shown, ax=list(panels), shrink=0.8, ticks=[0, 0.5, 1])
-    bar.ax.set_yticklabels(["0 free", "0.5 unknown", "1 occupied"])
-    figure.savefig(path, dpi=90)
+    rows = -(-len(maps) // columns)
+    figure = Figure(figsize=(width * columns + 1.6, (width * 0.69 + 0.4) * rows + 1.3), layout="constrained")
+    figure.suptitle("A recorded corridor, eight sonars; what is known of it: two walls along x = 1 .. 9 m")
+    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    used = list(axes.flat[: len(maps)])
+    for panel, (model, grid) in zip(used, maps.items(), strict=True):
+        shown = draw_grid(panel, grid, drive, line_width=1.0 if columns < 3 else 0.6)
+        for y, label in ((RIGHT_M, "walls as measured"), (LEFT_M, None)):
+            panel.plot(X[[0, -1]], [y, y], color="tab:red", lw=1.0, ls="--", label=label)
+        panel.set(xlim=(-2, 19), ylim=(-11.5, 3))
+        panel.set_title(model, fontsize="medium")
+    for panel in axes.flat[len(maps) :]:
+        panel.set_axis_off()
+    for panel in used[-columns:]:
+        panel.set_xlabel("x (m)")
+        panel.tick_params(labelbottom=True)
+    for panel in axes[:, 0]:
+        panel.set_ylabel("y (m)")
+    draw_key(figure, shown, used)
+    save(figure, name)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("models", nargs="*", default=["network", "cone"])
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?", default=FOLDER)
+    parser.add_argument("models", nargs="*", default=list(MODELS))
     args = parser.parse_args()
+    if not args.folder.is_dir():
+        print(f"corridor8: found no folder {args.folder}, so docs/paper/corridor8.* stay as they are")
+        return
     robot = Robot.load(ROBOT)
     maps = {}
     log = Log.of(frames(args.folder, robot), str(args.folder))
     drive = np.array([frame.pose[:2] for frame in log])
     for name in args.models:
-        model = interpreter(name)
-        *_, maps[model.name] = build_map(log, robot, model)
-    names = list(measure(next(iter(maps.values()))))
-    print("| model | " + " | ".join(names) + " |")
-    print("|---" * (len(names) + 1) + "|")
-    for name, grid in maps.items():
-        print(f"| {name} | " + " | ".join(f"{v:.1%}" for v in measure(grid).values()) + " |")
-    if args.out:
-        draw(args.out, maps, drive)
+        *_, maps[name] = build_map(log, robot, sensor_model(name))
+    measured = {name: measure(grid) for name, grid in maps.items()}
+    print("| model | " + " | ".join(next(iter(measured.values()))) + " |")
+    for name, shares in measured.items():
+        print(f"| {name} | " + " | ".join(f"{v:.1%}" for v in shares.values()) + " |")
+    if args.models == list(MODELS):
+        record("corridor8", {name: {k: round(v, 4) for k, v in shares.items()} for name, shares in measured.items()})
+        draw({name: maps[name] for name in ("network", "cone")}, drive, 2, 5.6, "corridor8")
+        draw(maps, drive, 4, 3.2, "models_corridor8")
 
 
 if __name__ == "__main__":

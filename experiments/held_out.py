@@ -1,15 +1,21 @@
-"""Held-out rooms: the network and the cone model on the same drives, the same weights for all walls.
+"""Held-out rooms: the network and every classical model on the same drives, the same weights and settings for all.
 
-    python experiments/held_out.py [--rooms 20] [--robot b21] [--resolution 0.12] [MODEL ...]
+    python experiments/held_out.py [--rooms 20] [--robot b21] [--resolution 0.12] [--record NAME] [MODEL ...]
 
-Three kinds of room (smooth, rough, mixed walls) under three kinds of simulator: echogrid's with its default
-physics, echogrid's with physics drawn at random for each room, and the one of leonard.py. The robot tours each room;
-truth reaches 1.4 m from its path. Prints a table of means over the rooms. MODEL is ``network``, ``cone`` or a weights
-file.
+Rooms of smooth, rough and mixed walls and corridors of mixed walls, under three simulators: echogrid's with its
+default physics (`default`), the same with a physics drawn at random for each room (`varied`), and the separately
+written one of leonard.py (`leonard`). The robot tours each room; truth reaches 1.4 m from its path. Prints a table of
+means over the rooms. With --record also the 95 % intervals (bootstrap over the rooms) and the network against the best
+other model go to docs/paper/NAME.json. MODEL is a name that `echogrid map --interpreter` takes, a weights file, or
+`mrpt` or `mrpt-centred`, which are left out where benchmarks/mrpt is not built. Default: all.
 """
 
 import argparse
+import sys
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import astuple, fields
+from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
@@ -18,79 +24,166 @@ from echogrid import Frame, Robot, build_map
 from echogrid.acoustics import Physics
 from echogrid.drive import tour, truth_of
 from echogrid.errors import UsageError
-from echogrid.interpret import interpreter
-from echogrid.metrics import Scores, score
+from echogrid.metrics import PathScore, Scores, path_score, score
+from echogrid.models import MODELS, sensor_model
 from echogrid.rooms import random_physics, random_world
 from echogrid.simulate import Simulator
+from echogrid.world import inside_room
 from leonard import leonard_ranges
+from paper import record
+
+sys.path.append(str(Path(__file__).parent.parent / "benchmarks"))
+from mrpt import available, mrpt_map
 
 KINDS = ("smooth", "rough", "mixed")
+PLACES = (*KINDS, "corridor")
 SIMULATORS = ("default", "varied", "leonard")
-SHOWN = [f.name for f in fields(Scores)][:8]
+SHOWN = [f.name for f in fields(Scores)][:8] + [f.name for f in fields(PathScore)][:3]
+PEERS = {"mrpt": False, "mrpt-centred": True}
 SEED = 20_000_000
+RESAMPLES = 2000
 
 
-def rooms(kind, count, robot):
+def rooms(place, count, robot, seed=SEED):
     """Worlds and drives that no training run has seen: their seeds are apart."""
-    rng = np.random.default_rng([SEED, KINDS.index(kind)])
+    rng = np.random.default_rng([seed, PLACES.index(place)])
+    shape, walls = ("corridor", "mixed") if place == "corridor" else ("room", place)
     found = 0
     while found < count:
-        world = random_world(rng, "room", kind)
+        world = random_world(rng, shape, walls)
         try:
             poses = tour(world, robot.footprint_radius_m + 0.1)
         except UsageError:
             continue
-        if len(poses) >= 120:
+        # A corridor may be open at its ends; its tour is to stay within.
+        if len(poses) >= 120 and (shape == "room" or np.all(inside_room(world, poses[:, :2]))):
             found += 1
             yield world, poses
 
 
-def frames(simulator, world, poses, robot, seed):
+def frames(simulator, world, poses, robot, room, seed=SEED):
     """A drive in one of SIMULATORS."""
-    rng = np.random.default_rng([SEED, seed])
+    rng = np.random.default_rng([seed, room])
     if simulator == "leonard":
         ranges = leonard_ranges(world, robot, poses, rng)
         return [Frame(i / 5, p, r) for i, (p, r) in enumerate(zip(poses, ranges, strict=True))]
     physics = Physics() if simulator == "default" else random_physics(rng)
-    return list(Simulator(world, robot, physics).frames(poses, seed))
+    return list(Simulator(world, robot, physics).frames(poses, room))
 
 
-def study(models, robot, count, resolution):
-    """Scores [simulator, kind, model, room, score]."""
-    table = np.full((len(SIMULATORS), len(KINDS), len(models), count, len(SHOWN)), np.nan)
-    for k, kind in enumerate(KINDS):
-        for n, (world, poses) in enumerate(tqdm(rooms(kind, count, robot), total=count, desc=kind, disable=None)):
-            truth = truth_of(world, poses)
-            for s, simulator in enumerate(SIMULATORS):
-                drive = frames(simulator, world, poses, robot, n)
-                for m, model in enumerate(models):
-                    *_, grid = build_map(drive, robot, model, resolution)
-                    table[s, k, m, n] = astuple(score(grid, truth))[: len(SHOWN)]
-    return table
+def mapped(name, drive, robot, resolution):
+    """The map of a drive by a model or a peer."""
+    if name in PEERS:
+        return mrpt_map(drive, robot, resolution, centred=PEERS[name])[0]
+    *_, grid = build_map(drive, robot, sensor_model(name), resolution)
+    return grid
 
 
-def markdown(table, models):
-    """The table as Markdown, means over the rooms."""
-    lines = ["| simulator | walls | model | " + " | ".join(SHOWN) + " |", "|---" * (3 + len(SHOWN)) + "|"]
+def visit(world, poses, room, robot_name, models, resolution):
+    """Scores [simulator, model, score] of one room."""
+    robot, truth = Robot.load(robot_name), truth_of(world, poses)
+    scores = []
+    for simulator in SIMULATORS:
+        drive = frames(simulator, world, poses, robot, room)
+        grids = [mapped(name, drive, robot, resolution) for name in models]
+        scores.append(
+            [
+                (*astuple(score(grid, truth))[:8], *astuple(path_score(grid, truth, robot.footprint_radius_m))[:3])
+                for grid in grids
+            ]
+        )
+    return np.array(scores)
+
+
+def study(models, robot_name, count, resolution):
+    """Scores [place, room, simulator, model, score]."""
+    robot = Robot.load(robot_name)
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        jobs = [
+            [
+                pool.submit(visit, world, poses, room, robot_name, models, resolution)
+                for room, (world, poses) in enumerate(rooms(place, count, robot))
+            ]
+            for place in PLACES
+        ]
+        bar = tqdm(total=len(PLACES) * count, unit="room", disable=None)
+        table = []
+        for place in jobs:
+            table.append([])
+            for job in place:
+                table[-1].append(job.result())
+                bar.update()
+    return np.array(table)
+
+
+def interval(values, rng):
+    """Mean over rooms and its 95 % interval by the bootstrap; rooms that have no value are left out."""
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return None
+    means = values[rng.integers(0, values.size, (RESAMPLES, values.size))].mean(axis=1)
+    return [round(float(v), 4) for v in (values.mean(), *np.quantile(means, [0.025, 0.975]))]
+
+
+def against(network, other, rng):
+    """Ratio of two means over the same rooms and its 95 % interval; none where a mean of the other is 0."""
+    if not other.mean() > 0:
+        return None
+    drawn = rng.integers(0, len(other), (RESAMPLES, len(other)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = network[drawn].mean(axis=1) / other[drawn].mean(axis=1)
+    ratios = ratios[np.isfinite(ratios)]
+    return [round(float(v), 3) for v in (network.mean() / other.mean(), *np.quantile(ratios, [0.025, 0.975]))]
+
+
+def summary(table, models):
+    """Means with intervals, and the first model against the best of the others, in what JSON can hold."""
+    rng = np.random.default_rng(SEED)
+    means, ratios = {}, {}
     for s, simulator in enumerate(SIMULATORS):
-        for k, kind in enumerate(KINDS):
-            for m, model in enumerate(models):
-                mean = np.nanmean(table[s, k, m], axis=0)
-                lines.append(
-                    f"| {simulator} | {kind} | {model.name} | " + " | ".join(f"{v:.3f}" for v in mean) + " |"
-                )
+        means[simulator], ratios[simulator] = {}, {}
+        for p, place in enumerate(PLACES):
+            part = table[p, :, s]
+            means[simulator][place] = {
+                model: {name: interval(part[:, m, i], rng) for i, name in enumerate(SHOWN)}
+                for m, model in enumerate(models)
+            }
+            ratios[simulator][place] = {}
+            for name in ("nll", "wiped"):
+                column = part[:, :, SHOWN.index(name)]
+                best = 1 + int(np.argmin(column[:, 1:].mean(axis=0))) if len(models) > 1 else 0
+                ratios[simulator][place][name] = {
+                    "best other": models[best],
+                    "ratio": against(column[:, 0], column[:, best], rng),
+                }
+    return {"means": means, "ratios": ratios}
+
+
+def markdown(means, simulator, place):
+    """A table of one simulator and place."""
+    lines = ["| model | " + " | ".join(SHOWN) + " |", "|---" * (1 + len(SHOWN)) + "|"]
+    for model, scores in means[simulator][place].items():
+        shown = ["-" if scores[name] is None else f"{scores[name][0]:.3f}" for name in SHOWN]
+        lines.append(f"| {model} | " + " | ".join(shown) + " |")
     return "\n".join(lines)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("models", nargs="*", default=["network", "cone"])
+    parser.add_argument("models", nargs="*", default=[*MODELS, *PEERS])
     parser.add_argument("--rooms", type=int, default=20)
     parser.add_argument("--resolution", type=float, default=0.12)
     parser.add_argument("--robot", default="b21")
+    parser.add_argument("--record")
     args = parser.parse_args()
-    models = [interpreter(name) for name in args.models]
-    print(markdown(study(models, Robot.load(args.robot), args.rooms, args.resolution), models))
+    models = [name for name in args.models if name not in PEERS or available()]
+    found = summary(study(models, args.robot, args.rooms, args.resolution), models)
+    for simulator in SIMULATORS:
+        for place in PLACES:
+            print(f"\n{simulator}, {place}\n\n{markdown(found['means'], simulator, place)}")
+    if args.record:
+        settings = {"robot": args.robot, "rooms": args.rooms, "resolution": args.resolution, "seed": SEED}
+        record(args.record, settings | found)
 
 
 if __name__ == "__main__":

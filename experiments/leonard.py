@@ -64,14 +64,20 @@ def _targets(world, p, axis):
         to = np.sign(away)[:, None] * n
         take(np.arctan2(to[:, 1], to[:, 0]), np.abs(away), (s >= 0) & (s <= 1))
     corners, edges, hidden = world.vertices
+    # Between its two walls a vertex is a corner, outside of them an edge.
+    between = {
+        (edge.x, edge.y): (h[0] * (p[:, 1] - edge.y) - h[1] * (p[:, 0] - edge.x) > 0)
+        & ((p[:, 0] - edge.x) * h[3] - (p[:, 1] - edge.y) * h[2] > 0)
+        for edge, h in zip(edges, hidden, strict=True)
+    }
     for target in corners:
         to = np.array([target.x, target.y]) - p
-        take(np.arctan2(to[:, 1], to[:, 0]), np.linalg.norm(to, axis=1), np.ones(len(p), dtype=bool))
-    for edge, h in zip(edges, hidden, strict=True):
+        seen = between.get((target.x, target.y), np.ones(len(p), dtype=bool))
+        take(np.arctan2(to[:, 1], to[:, 0]), np.linalg.norm(to, axis=1), seen.copy())
+    for edge in edges:
         to = np.array([edge.x, edge.y]) - p
         r = np.linalg.norm(to, axis=1)
-        shut = (h[0] * -to[:, 1] + h[1] * to[:, 0] > 0) & (-to[:, 0] * h[3] + to[:, 1] * h[2] > 0)
-        take(np.arctan2(to[:, 1], to[:, 0]), r, ~shut & (r < 1.5) & (np.abs(r) > 0))
+        take(np.arctan2(to[:, 1], to[:, 0]), r, ~between[edge.x, edge.y] & (r < 1.5))
     for x, y, radius in world.cylinders:
         to = np.array([x, y]) - p
         take(np.arctan2(to[:, 1], to[:, 0]), np.linalg.norm(to, axis=1) - radius, np.ones(len(p), dtype=bool))

@@ -5,7 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.patches import Circle
+
+from echogrid import Grid, World
 
 FOLDER = Path(__file__).parent.parent / "docs" / "paper"
 
@@ -29,3 +35,33 @@ def record(name: str, numbers: dict[str, Any]) -> None:
 def recorded(name: str) -> dict[str, Any]:
     """What ``record`` wrote."""
     return json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def draw_grid(
+    axes: Axes, grid: Grid, drive: np.ndarray, world: World | None = None, line_width: float = 1.0
+) -> AxesImage:
+    """A map in greys with the drive and, where it is known, what is really there. Metres."""
+    rows, cols = grid.shape
+    (x, y), cell = grid.origin, grid.resolution
+    p = np.where(grid.observed, grid.probability(), 0.5)
+    extent = (x, x + cols * cell, y, y + rows * cell)
+    shown = axes.imshow(p, cmap="gray_r", vmin=0, vmax=1, origin="lower", extent=extent, interpolation="nearest")
+    axes.set_facecolor("0.5")
+    axes.plot(*drive[:, :2].T, color="tab:blue", lw=line_width, label="drive")
+    if world is not None:
+        for i, (x0, y0, x1, y1) in enumerate(world.walls):
+            axes.plot([x0, x1], [y0, y1], color="tab:red", lw=line_width, label=None if i else "true walls")
+        for x, y, radius in world.cylinders:
+            axes.add_patch(Circle((x, y), radius, fill=False, color="tab:red", lw=line_width))
+        low, high = world.bounds()
+        axes.set(xlim=(low[0] - 0.6, high[0] + 0.6), ylim=(low[1] - 0.6, high[1] + 0.6))
+    axes.set_aspect("equal")
+    return shown
+
+
+def draw_key(figure: Figure, shown: AxesImage, panels: list[Axes]) -> None:
+    """What the greys and lines of ``draw_grid`` mean, for all panels."""
+    bar = figure.colorbar(shown, ax=panels, shrink=0.7, ticks=[0, 0.5, 1], aspect=30)
+    bar.ax.set_yticklabels(["0 free", "0.5 unknown", "1 occupied"])
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(handles), frameon=False)

@@ -333,11 +333,27 @@ def test_a_scan_is_a_reading_a_degree(run, tmp_path):
     assert {path.name for path in (tmp_path / "scan").iterdir()} == {"scan.csv", "scan.png"}
     assert (tmp_path / "scan" / "scan.png").read_bytes().startswith(b"\x89PNG\r\n")
     lines = (tmp_path / "scan" / "scan.csv").read_text().splitlines()
-    assert lines[0] == "bearing_deg,range_m"
-    table = np.array([[float(v) for v in line.split(",")] for line in lines[1:]])
-    np.testing.assert_array_equal(table[:, 0], np.arange(360))
+    assert lines[0] == "bearing_deg,range_m,region"
+    degrees, ranges, region = zip(*(line.split(",") for line in lines[1:]), strict=True)
+    np.testing.assert_array_equal([float(d) for d in degrees], np.arange(360))
     # Square to the four walls the reading is the distance, late by a weak echo's walk error at the most.
-    np.testing.assert_allclose(table[[0, 90, 180, 270], 1], [1.75, 1.25, 1.25, 0.75], atol=0.03)
+    square = np.array(ranges, dtype=float)[[0, 90, 180, 270]]
+    np.testing.assert_allclose(square, [1.75, 1.25, 1.25, 0.75], atol=0.03)
+    # A rough wall is flat about its normal and nowhere else; regions are numbered as they follow one another.
+    assert [region[i] for i in (45, 90, 180, 270)] == ["", "1", "2", "3"]
+    assert region[359] == region[0] == "4"
+    assert set(region) == {"", "1", "2", "3", "4"}
+
+
+def test_a_scan_marks_the_regions_of_constant_depth_of_smooth_walls_and_corners(run, tmp_path):
+    world = put(tmp_path / "box.yaml", WORLD)
+    assert run("scan", world, "--at", "1.3,0.8", "--out", tmp_path)[0] == 0
+    rows = [line.split(",") for line in (tmp_path / "scan.csv").read_text().splitlines()[1:]]
+    # Walls and corners in turn; the corners' bearings rounded to a degree.
+    targets = {0: 1.7, 35: 2.0809, 90: 1.2, 137: 1.7692, 180: 1.3, 212: 1.5264, 270: 0.8, 335: 1.8788}
+    for bearing, distance in targets.items():
+        assert float(rows[bearing][1]) == pytest.approx(distance, abs=0.01)
+    assert [rows[bearing][2] for bearing in targets] == ["8", "1", "2", "3", "4", "5", "6", "7"]
 
 
 def test_a_scan_may_be_left_of_and_below_the_origin(run, tmp_path):
@@ -530,7 +546,7 @@ BAD_CALLS: list[tuple[list[str], str]] = [
     ([*MAP, "--resolution", "-1"], "--resolution: found -1"),
     ([*MAP, "--resolution", "nan"], "--resolution: found nan"),
     ([*MAP, "--resolution", "1000"], "--resolution: found 1000"),
-    ([*MAP, "--interpreter", "netwrok"], "interpreter: found netwrok, expected network, cone or a weights file"),
+    ([*MAP, "--interpreter", "netwrok"], "interpreter: found netwrok, expected network, cone, "),
     ([*MAP, "--interpreter", "missing.npz"], "interpreter: found missing.npz"),
     ([*MAP, "--interpreter", "x" * 300], "x"),
     ([*MAP, "--interpreter", "drive.csv"], "drive.csv: found "),

@@ -14,16 +14,14 @@ from hypothesis import strategies as st
 from echogrid.errors import EchogridError, InputError, UsageError
 from echogrid.geometry import wrap
 from echogrid.interpret import (
-    INPUTS,
-    INTERPRETERS,
     LIMIT,
     LOOK_RAD,
-    Cone,
+    MOST_ZONE,
     Layers,
     Network,
     beyond_features,
     forward,
-    interpreter,
+    inputs,
     look,
     place_features,
     reading_features,
@@ -44,9 +42,9 @@ mounts: [[0.1, 0, 0], [0, 0.1, 90], [0, -0.1, -90]]
 )
 
 
-def random_network(seed=0, hidden=(16, 8), prior=0.2):
+def random_network(seed=0, hidden=(16, 8), prior=0.2, zone=4):
     rng = np.random.default_rng(seed)
-    sizes = [INPUTS, *hidden, 1]
+    sizes = [inputs(zone), *hidden, 1]
     layers: Layers = [
         (rng.normal(0, 1.6 / np.sqrt(m), (m, n)).astype(np.float32), rng.normal(0, 0.3, n).astype(np.float32))
         for m, n in pairwise(sizes)
@@ -68,13 +66,13 @@ def off_axes(mounts, point):
 
 
 @settings(max_examples=60)
-@given(st.sampled_from([B21, P3DX]), st.floats(-1.5, 1.5), st.floats(-1.5, 1.5))
-def test_the_zone_is_of_the_four_sonars_nearest_in_bearing_from_left_to_right(robot, x, y):
+@given(st.sampled_from([B21, P3DX]), st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.integers(1, MOST_ZONE))
+def test_the_zone_is_of_the_sonars_nearest_in_bearing_from_left_to_right(robot, x, y, size):
     point = np.array([x, y])
     off = off_axes(robot.mounts, point)
-    zone = zone_of(robot.mounts, point)
-    assert len(set(zone.sonar.tolist())) == 4
-    np.testing.assert_allclose(np.sort(np.abs(zone.off_axis)), np.sort(np.abs(off))[:4])
+    zone = zone_of(robot.mounts, point, size)
+    assert len(set(zone.sonar.tolist())) == size
+    np.testing.assert_allclose(np.sort(np.abs(zone.off_axis)), np.sort(np.abs(off))[:size])
     np.testing.assert_allclose(zone.off_axis, off[zone.sonar])
     assert np.all(np.diff(zone.off_axis) <= 0)
     np.testing.assert_allclose(zone.distance, np.hypot(*(point - robot.mounts[zone.sonar, :2]).T))
@@ -106,6 +104,7 @@ def test_a_sonar_that_is_not_there_takes_the_last_of_the_places():
     assert np.all(np.abs(zone.off_axis[missing]) == pi)
     one = zone_of(TRIO.mounts[:1], np.array([[1.0, 0.2]]))
     assert sorted(one.sonar[0].tolist()) == [-1, -1, -1, 0]
+    assert sorted(zone_of(TRIO.mounts, np.array([1.0, 0.2]), 8).sonar.tolist()) == [-1] * 5 + [0, 1, 2]
 
 
 def test_the_features_of_readings_worked_by_hand():
@@ -129,7 +128,7 @@ def test_the_features_of_a_place_worked_by_hand():
 
 def test_the_perceptron_is_its_matrices():
     network = random_network()
-    x = np.random.default_rng(1).normal(0, 1, (50, INPUTS)).astype(np.float32)
+    x = np.random.default_rng(1).normal(0, 1, (50, inputs())).astype(np.float32)
     (w0, b0), (w1, b1), (w2, b2) = network.layers
     plain = np.maximum(np.maximum(x @ w0 + b0, 0) @ w1 + b1, 0) @ w2 + b2
     np.testing.assert_allclose(
@@ -139,12 +138,12 @@ def test_the_perceptron_is_its_matrices():
 
 
 @pytest.mark.parametrize("robot", [B21, P3DX, TRIO], ids=lambda robot: robot.name)
-@pytest.mark.parametrize("seed", range(3))
-def test_the_bound_network_says_what_a_look_at_plain_features_says(robot, seed):
-    network, points = random_network(seed), local_cells()
+@pytest.mark.parametrize(("seed", "size"), [(0, 4), (1, 4), (2, 4), (3, 1), (3, 2), (3, 7), (3, 8)])
+def test_the_bound_network_says_what_a_look_at_plain_features_says(robot, seed, size):
+    network, points = random_network(seed, zone=size), local_cells()
     ranges = random_scans(robot.sonars, seed=seed)
     p, spoken = network.bind(robot, points)(jnp.asarray(ranges))
-    zone = zone_of(robot.mounts, points)
+    zone = zone_of(robot.mounts, points, size)
     with_missing = np.pad(ranges, [(0, 0), (0, 1)], constant_values=nan)
     reading = with_missing[:, zone.sonar]
     everywhere = [np.broadcast_to(v, reading.shape).astype(np.float32) for v in (zone.off_axis, zone.distance)]
@@ -154,18 +153,17 @@ def test_the_bound_network_says_what_a_look_at_plain_features_says(robot, seed):
     assert np.std(np.asarray(p)[np.asarray(spoken)]) > 0.05
 
 
-@pytest.mark.parametrize("model", [random_network(), Cone()], ids=lambda model: model.name)
 @pytest.mark.parametrize("robot", [B21, P3DX, TRIO], ids=lambda robot: robot.name)
-def test_a_scan_in_which_no_sonar_fired_says_nothing(model, robot):
+def test_a_scan_in_which_no_sonar_fired_says_nothing(robot):
+    model = random_network()
     p, spoken = model.bind(robot, local_cells())(jnp.full((6, robot.sonars), nan))
     assert not np.any(spoken)
     np.testing.assert_allclose(p, model.prior, atol=1e-7)
 
 
-@pytest.mark.parametrize("model", [random_network(), Cone()], ids=lambda model: model.name)
 @pytest.mark.parametrize("robot", [P3DX, TRIO], ids=lambda robot: robot.name)
-def test_points_that_no_sonar_looks_at_keep_the_prior(model, robot):
-    points = local_cells()
+def test_points_that_no_sonar_looks_at_keep_the_prior(robot):
+    model, points = random_network(), local_cells()
     blind = np.array([np.abs(off_axes(robot.mounts, point)).min() > LOOK_RAD for point in points])
     p, spoken = (np.asarray(v) for v in model.bind(robot, points)(jnp.asarray(random_scans(robot.sonars))))
     assert blind.any()
@@ -203,56 +201,6 @@ def test_no_look_is_more_certain_than_the_limit():
     assert np.max(p) > 0.95
 
 
-FORWARD_ONLY = Robot(
-    "forward",
-    0.1,
-    B21.transducer,
-    0.1,
-    4.0,
-    np.deg2rad(30),
-    np.array([[0.2, 0, 0], [0, 0, pi], [0, 0, 3.0], [0, 0, -3.0]]),
-)
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "reading", "p"),
-    [
-        (1.2, 0.0, 1.0, 0.7),
-        (1.31, 0.0, 1.0, 0.7),
-        (1.09, 0.0, 1.0, 0.7),
-        (1.07, 0.0, 1.0, 0.35),
-        (0.5, 0.0, 1.0, 0.35),
-        (1.33, 0.0, 1.0, None),
-        (0.7, 0.13, 1.0, 0.35),
-        (0.7, 0.14, 1.0, None),
-        (0.7, -0.13, 1.0, 0.35),
-        (0.7, 0.0, inf, None),
-        (0.7, 0.0, nan, None),
-    ],
-)
-def test_the_cone_worked_by_hand(x, y, reading, p):
-    ranges = jnp.array([[reading, nan, nan, nan]])
-    told, spoken = Cone().bind(FORWARD_ONLY, np.array([[x, y]]))(ranges)
-    assert bool(spoken[0, 0]) == (p is not None)
-    assert float(told[0, 0]) == pytest.approx(p or 0.5)
-
-
-def test_the_cone_asks_the_sonar_whose_axis_is_nearest():
-    ranges = jnp.array([[1.0, 2.0, nan, nan]])
-    told, spoken = Cone().bind(FORWARD_ONLY, np.array([[1.2, 0.0], [-2.0, 0.0], [-1.0, 0.0]]))(ranges)
-    assert np.all(spoken)
-    np.testing.assert_allclose(told[0], [0.7, 0.7, 0.35])
-
-
-def test_interpreters_go_by_name_or_by_file(tmp_path):
-    assert set(INTERPRETERS) == {"network", "cone"}
-    assert interpreter("cone") == Cone()
-    random_network().save(tmp_path / "mine.npz")
-    assert interpreter(str(tmp_path / "mine.npz")).name == "mine"
-    with pytest.raises(UsageError, match=r"^interpreter: found oracle, expected network, cone or a weights file$"):
-        interpreter("oracle")
-
-
 def test_weights_that_are_saved_are_loaded(tmp_path):
     network = random_network(prior=0.37)
     network.save(tmp_path / "some.npz")
@@ -261,6 +209,23 @@ def test_weights_that_are_saved_are_loaded(tmp_path):
     for (w, b), (v, c) in zip(network.layers, loaded.layers, strict=True):
         np.testing.assert_array_equal(w, v)
         np.testing.assert_array_equal(b, c)
+
+
+@pytest.mark.parametrize("size", range(1, MOST_ZONE + 1))
+def test_weights_know_how_many_sonars_they_read(tmp_path, size):
+    random_network(zone=size).save(tmp_path / "some.npz")
+    assert Network.load(tmp_path / "some.npz").zone == size
+
+
+@pytest.mark.parametrize("size", [0, MOST_ZONE + 1])
+def test_weights_for_no_sonar_or_for_too_many_are_refused_with_their_sizes(tmp_path, size):
+    path = tmp_path / "some.npz"
+    random_network(zone=size).save(path)
+    message = (
+        rf"^{re.escape(str(path))}: found layers \[{6 * size + 1}, 16, 8, 1\], expected .* 7, 13, \.\. or 49 inputs"
+    )
+    with pytest.raises(InputError, match=message):
+        Network.load(path)
 
 
 def saved(**changes):
@@ -295,6 +260,9 @@ DAMAGED = {
     "layers that do not fit": saved(w0=W0[:, :-1]),
     "a bias that does not fit": saved(b0=B0[:-1]),
     "a matrix with three axes": saved(w0=W0[None]),
+    "a matrix with no axis": saved(w0=np.float32(1)),
+    "axes moved from one matrix to another": saved(w0=W0[None], w1=np.ones(8, dtype=np.float32)),
+    "weights that are text": saved(w0=W0.astype(str)),
     "two outputs": saved(w2=np.ones((8, 2)), b2=np.ones(2)),
     "a weight that is no number": saved(w0=np.where(W0[0, 0] == W0, np.float32(nan), W0)),
     "an infinite bias": saved(b0=B0 * np.float32(inf)),

@@ -11,9 +11,10 @@ PACKAGE = Path(echogrid.__file__).parent
 
 # A module imports only from modules to its left.
 ORDER = [
-    *("errors", "geometry", "files", "robot", "world", "acoustics", "rooms", "log"),
+    *("errors", "geometry", "regions", "files", "robot", "world", "acoustics", "rooms", "log"),
     *("readers.lines", "readers.csv_log", "readers.carmen", "readers"),
-    *("grid", "metrics", "drive", "echo", "simulate", "interpret", "mapping", "examples", "train"),
+    *("grid", "metrics", "drive", "echo", "simulate", "interpret", "beam", "classical", "em", "models", "mapping"),
+    *("examples", "train"),
     *("picture", "mapfile", "cli"),
 ]
 

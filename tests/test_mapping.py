@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from echogrid.errors import UsageError
 from echogrid.geometry import inverse, transform
-from echogrid.interpret import LOCAL_CELL_M, LOCAL_CELLS, Cone
+from echogrid.interpret import LOCAL_CELL_M, LOCAL_CELLS
 from echogrid.log import Frame
 from echogrid.mapping import (
     BATCH,
@@ -210,7 +210,7 @@ def test_scans_in_which_no_sonar_fired_leave_the_map_unobserved():
 
 def test_a_map_of_unfired_sonars_is_free_under_the_robot_alone():
     frames = [Frame(0.0, np.array([0.06, 0.06, 0.0]), np.full(24, nan))]
-    grid = last_of(frames, Cone(), robot=B21)
+    grid = last_of(frames, Told(), robot=B21)
     p = grid.probability_at(np.array([[0.06, 0.06], [0.12, 0.0], [0.7, 0.06], [0.06, -0.7]]))
     np.testing.assert_allclose(p[:2], P_UNDER_ROBOT, atol=0.02)
     np.testing.assert_array_equal(p[2:], 0.5)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from echogrid.grid import Grid, logit
-from echogrid.metrics import Scores, Truth, score
+from echogrid.metrics import PATH_GOALS, PATH_STARTS, PathScore, Scores, Truth, _Ways, path_score, score
 
 SHAPE = (5, 5)
 
@@ -247,3 +247,197 @@ def test_p_is_what_the_map_says_at_the_centres(resolution, truth_resolution, ori
     centres = np.array([[(col + 0.5, row + 0.5) for col in range(15)] for row in range(12)])
     p = grid.probability_at(centres * truth_resolution + origin).astype(float)
     assert score(grid, truth).brier == pytest.approx(np.mean((p - truth.cells) ** 2))
+
+
+RADIUS = 0.25
+
+
+def two_rooms(door=True):
+    """Two rooms of 2.8 x 3 m in cells of 0.1 m, a partition in column 30, and a door of 1 m in it."""
+    cells = np.zeros((32, 60))
+    cells[[0, -1]] = cells[:, [0, -1]] = cells[:, 30] = 1
+    if door:
+        cells[11:21, 30] = 0
+    return truth_of(cells, 0.1)
+
+
+def perfect_map(truth, resolution=0.1):
+    """What is in the truth, in cells of some size."""
+    rows, cols = np.round(np.array(truth.cells.shape) * truth.resolution / resolution).astype(int)
+    p = np.full((rows, cols), 0.02)
+    row, col = np.argwhere(truth.cells == 1).T
+    at = [np.floor((v + 0.5) * truth.resolution / resolution).astype(int) for v in (row, col)]
+    p[at[0].clip(0, rows - 1), at[1].clip(0, cols - 1)] = 0.98
+    return p
+
+
+@pytest.mark.parametrize("resolution", [0.05, 0.1, 0.12, 0.2])
+def test_paths_on_a_perfect_map_meet_nothing(resolution):
+    truth = two_rooms()
+    paths = path_score(grid_of(perfect_map(truth, resolution), resolution), truth, RADIUS)
+    assert paths == PathScore(0.0, 0.0, 0.0, pairs=PATH_STARTS * PATH_GOALS)
+
+
+@pytest.mark.parametrize(("shift", "collides"), [((0.1, 0.0), False), ((0.1, -0.1), False), ((0.0, 0.2), True)])
+def test_a_wall_one_cell_off_is_inexact_and_two_cells_off_is_a_collision(shift, collides):
+    truth = two_rooms()
+    paths = path_score(grid_of(perfect_map(truth), 0.1, shift), truth, RADIUS)
+    assert (paths.collides > 0) == collides
+    assert (paths.blocked > 0) == collides
+
+
+def test_one_cell_is_one_of_the_map_where_those_are_larger():
+    truth = two_rooms()
+    assert path_score(grid_of(perfect_map(truth, 0.2), 0.2, (0.0, 0.2)), truth, RADIUS).collides == 0.0
+
+
+def test_paths_through_a_wiped_partition_collide():
+    truth = two_rooms()
+    p = perfect_map(truth)
+    p[1:-1, 30] = 0.02
+    paths = path_score(grid_of(p, 0.1), truth, RADIUS)
+    assert 0 < paths.collides < 1  # ways inside a room, and some through the middle, are free
+    assert (paths.blocked, paths.lost) == (0.0, 0.0)
+
+
+def test_without_a_door_all_ways_stay_in_their_room():
+    truth = two_rooms(door=False)
+    p = perfect_map(truth)
+    assert path_score(grid_of(p, 0.1), truth, RADIUS) == PathScore(0.0, 0.0, 0.0, pairs=64)
+    p[1:-1, 30] = 0.02
+    assert path_score(grid_of(p, 0.1), truth, RADIUS).collides == 0.0
+
+
+def test_no_way_of_the_truth_leads_through_hidden_cells():
+    truth = two_rooms(door=False)
+    p = perfect_map(truth)
+    truth.cells[1:-1, 30] = 2
+    assert path_score(grid_of(p, 0.1), truth, RADIUS) == PathScore(0.0, 0.0, 0.0, pairs=64)
+
+
+def test_the_way_of_a_point_does_not_lead_through_walls_either():
+    truth = two_rooms(door=False)
+    assert path_score(grid_of(perfect_map(truth), 0.1), truth, 0.0) == PathScore(0.0, 0.0, 0.0, pairs=64)
+
+
+def corridor():
+    cells = np.zeros((12, 80))
+    cells[[0, -1]] = 1
+    return truth_of(cells, 0.1)
+
+
+def test_a_ghost_wall_across_a_corridor_loses_the_ways_that_it_blocks():
+    truth = corridor()
+    p = perfect_map(truth)
+    p[:, 40] = 0.9
+    paths = path_score(grid_of(p, 0.1), truth, RADIUS)
+    assert 0 < paths.blocked < 1
+    assert paths.lost == paths.blocked
+    assert paths.collides == 0.0
+    p[:, 2:-2:6] = 0.9  # every way of a metre crosses one
+    ways = path_score(grid_of(p, 0.1), truth, RADIUS)
+    assert (ways.blocked, ways.lost) == (1.0, 1.0)
+    assert math.isnan(ways.collides)
+
+
+def test_a_ghost_in_a_room_is_gone_round_but_for_the_ways_that_end_at_it():
+    truth = two_rooms()
+    p = perfect_map(truth)
+    p[14:18, 20] = 0.9
+    paths = path_score(grid_of(p, 0.1), truth, RADIUS)
+    assert 0 < paths.lost < paths.blocked < 1
+    assert paths.collides == 0.0
+
+
+@pytest.mark.parametrize("empty", [False, True])
+def test_a_map_that_knows_nothing_shows_no_way(empty):
+    truth = two_rooms()
+    grid = Grid(np.zeros((0, 0), np.float32), np.zeros((0, 0), bool), 0.1, (0.0, 0.0))
+    paths = path_score(grid if empty else grid_of(np.full((32, 60), 0.5), 0.1), truth, RADIUS)
+    assert math.isnan(paths.collides)
+    assert (paths.blocked, paths.lost) == (0.0, 1.0)
+
+
+def test_a_map_of_free_space_alone_drives_through_everything_but_the_border():
+    truth = two_rooms()
+    paths = path_score(grid_of(np.full((32, 60), 0.02), 0.1), truth, RADIUS)
+    assert paths.collides > 0.3
+    assert (paths.blocked, paths.lost) == (0.0, 0.0)
+
+
+def test_what_a_path_meets_in_hidden_cells_is_no_collision():
+    truth = two_rooms()
+    truth.cells[:, 30] = np.where(truth.cells[:, 30] == 1, 2, 0)
+    paths = path_score(grid_of(np.full((32, 60), 0.02), 0.1), truth, RADIUS)
+    assert paths.collides == 0.0
+
+
+def test_a_wall_of_fine_cells_is_not_stepped_over():
+    truth = corridor()
+    p = perfect_map(truth, 0.025)
+    p[:, 161] = 0.9  # between the centres of two columns of the truth
+    paths = path_score(grid_of(p, 0.025), truth, RADIUS)
+    assert 0 < paths.lost == paths.blocked
+
+
+def test_no_way_leads_between_two_cells_that_touch_at_a_corner():
+    cells = np.zeros((30, 30))
+    cells[np.arange(30), np.arange(30)] = 1
+    truth = truth_of(cells, 0.1)
+    # On the map one side is closed: were there a way through, some would lead from there to the other side.
+    one_side = grid_of(np.where(np.tri(30) > 0, 0.98, 0.02), 0.1)
+    paths = path_score(one_side, truth, 0.0)
+    assert 0 < paths.lost < 1
+    assert paths == PathScore(0.0, paths.lost, paths.lost, pairs=64)
+
+
+@pytest.mark.parametrize(
+    ("solid", "met"),
+    [
+        ([], False),
+        ([(0, 0)], True),
+        ([(2, 2)], True),
+        ([(3, 3)], True),
+        ([(1, 2)], False),
+        ([(1, 2), (2, 1)], True),
+        ([(1, 2), (3, 2)], False),
+    ],
+)
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_path_meets_what_it_goes_through_and_two_cells_that_touch_at_a_corner(solid, met, mirrored):
+    cells = np.zeros((4, 4), dtype=bool)
+    for cell in solid:
+        cells[cell] = True
+    corners = (3, 12) if mirrored else (0, 15)
+    ways = _Ways(np.ones((4, 4), dtype=bool), np.array(corners[:1]))
+    assert ways.length[0, corners[1]] == pytest.approx(3 * math.sqrt(2))
+    cells = cells[:, ::-1] if mirrored else cells
+    assert ways.meet(np.array([0]), np.array(corners[1:]), cells).tolist() == [met]
+
+
+@pytest.mark.parametrize("closed", [(1, 2), (2, 1)])
+def test_no_way_cuts_a_closed_corner(closed):
+    open_ = np.ones((4, 4), dtype=bool)
+    open_[closed] = False
+    for cells, start, goal in ((open_, 5, 10), (open_[:, ::-1], 6, 9)):
+        assert _Ways(cells, np.array([start])).length[0, goal] == pytest.approx(2.0)
+
+
+def test_the_seed_decides_the_ways_and_the_map_does_not():
+    truth = two_rooms()
+    p = perfect_map(truth)
+    p[5:, 20] = 0.9
+    first = path_score(grid_of(p, 0.1), truth, RADIUS, seed=1)
+    assert path_score(grid_of(p, 0.1), truth, RADIUS, seed=1) == first
+    assert len({path_score(grid_of(p, 0.1), truth, RADIUS, seed=seed).blocked for seed in range(6)}) > 1
+    # Claims outside the ways change nothing.
+    p[0] = 0.5
+    assert path_score(grid_of(p, 0.1), truth, RADIUS, seed=1).blocked == first.blocked
+
+
+@pytest.mark.parametrize("cells", [[[1]], np.zeros((3, 3)), np.full(SHAPE, 2), np.ones(SHAPE), np.zeros((9, 9))])
+def test_a_truth_too_small_for_a_way_scores_nan(cells):
+    truth = truth_of(cells, 0.1)
+    paths = path_score(grid_of(perfect_map(truth), 0.1), truth, RADIUS)
+    assert all(math.isnan(share) for share in (paths.collides, paths.blocked, paths.lost))
+    assert paths.pairs == 0

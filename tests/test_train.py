@@ -11,7 +11,7 @@ from echogrid import train as training
 from echogrid.drive import truth_of
 from echogrid.errors import UsageError
 from echogrid.examples import FRAMES, POINTS, VIEWS, Examples, random_drive
-from echogrid.interpret import INPUTS, LIMIT, LOCAL_CELLS, LOOK_RAD, Network, forward
+from echogrid.interpret import LIMIT, LOCAL_CELLS, LOOK_RAD, Network, forward, inputs
 from echogrid.metrics import FREE, HIDDEN, SURFACE
 from echogrid.robot import Robot
 from echogrid.rooms import SHAPES, random_world
@@ -48,7 +48,7 @@ def drives(examples):
 def layers():
     """A network that says this and that, round its prior."""
     rng = np.random.default_rng(0)
-    sizes = [INPUTS, 8, 4, 1]
+    sizes = [inputs(), 8, 4, 1]
     random = [(rng.normal(0, 1.2 / np.sqrt(m), (m, n)), rng.normal(0, 0.3, n)) for m, n in pairwise(sizes)]
     random[-1][1][:] = np.log(PRIOR / (1 - PRIOR))
     return [(jnp.asarray(w, jnp.float32), jnp.asarray(b, jnp.float32)) for w, b in random]
@@ -140,7 +140,7 @@ def test_a_training_drive_keeps_its_clearance(shape):
             assert np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1).max() <= 0.2 + 1e-9
 
 
-def plain_loss(layers, drives, flip, repeat):
+def plain_loss(layers, drives, flip, repeat, squared_error=False, through_map=True):
     """The loss once more, look by look, with numpy."""
 
     def logit(p):
@@ -160,8 +160,8 @@ def plain_loss(layers, drives, flip, repeat):
         looked = np.any(~np.isnan(reading) & (np.abs(off_axis) <= LOOK_RAD), axis=-1)
         return np.where(looked, 1 / (1 + np.exp(-z)), PRIOR)
 
-    def cross_entropy(z, target):
-        return np.logaddexp(0, z) - target * z
+    def error(z, target):
+        return (1 / (1 + np.exp(-z)) - target) ** 2 if squared_error else np.logaddexp(0, z) - target * z
 
     target = {SURFACE: 1.0, FREE: 0.0, HIDDEN: 0.5}
     single_target = {SURFACE: 1.0, FREE: 0.0, HIDDEN: PRIOR}
@@ -192,12 +192,13 @@ def plain_loss(layers, drives, flip, repeat):
                 answers = look(reading[:, ::side], side * off[cells][:, ::side], dist[cells][:, ::side])
                 z = logit(np.sum(share * answers) / share.sum())
                 evidence += z - logit(PRIOR)
-                single += single_weight[kind] * cross_entropy(z, single_target[kind])
+                single += single_weight[kind] * error(z, single_target[kind])
                 single_sum += single_weight[kind]
             if there:
-                fused += weight[kind] * cross_entropy(repeat[d] * evidence, target[kind])
+                fused += weight[kind] * error(repeat[d] * evidence, target[kind])
                 fused_weight += weight[kind]
-    return fused / fused_weight + training.SINGLE_WEIGHT * single / single_sum
+    single /= single_sum
+    return fused / fused_weight + training.SINGLE_WEIGHT * single if through_map else single
 
 
 @pytest.mark.parametrize(
@@ -208,6 +209,40 @@ def test_the_loss_is_the_one_that_its_words_say(drives, layers, flip, repeat):
     plain_drives = Examples(*map(np.asarray, drives))
     expected = plain_loss(plain_layers, plain_drives, np.asarray(flip), np.asarray(repeat))
     assert float(loss_of(layers, drives, flip, repeat)) == pytest.approx(expected, rel=2e-4)
+
+
+@pytest.mark.parametrize("squared_error", [False, True], ids=["cross-entropy", "least squares"])
+@pytest.mark.parametrize("through_map", [True, False], ids=["through the map", "single looks"])
+def test_the_other_losses_are_the_ones_that_their_words_say(drives, layers, squared_error, through_map):
+    plain_layers = [(np.asarray(w, dtype=float), np.asarray(b, dtype=float)) for w, b in layers]
+    plain_drives = Examples(*map(np.asarray, drives))
+    how = {"squared_error": squared_error, "through_map": through_map}
+    expected = plain_loss(plain_layers, plain_drives, np.asarray(FLIPPED), np.asarray(REPEATED), **how)
+    assert float(loss(layers, drives, PRIOR, FLIPPED, REPEATED, **how)) == pytest.approx(expected, rel=2e-4)
+
+
+@pytest.mark.parametrize("change", [{"squared_error": True}, {"through_map": False}], ids=str)
+def test_the_recipe_chooses_the_loss(examples, recipe, trained, change):
+    other = fit(examples, replace(recipe, **change))
+    assert other.recipe["losses"][-1] < other.recipe["losses"][0]
+    assert not same_weights(other, trained)
+
+
+def test_drives_do_not_depend_on_how_many_sonars_the_network_reads(examples):
+    wide = making.generate(None, 5, seed=3, zone=8)
+    for name in ("ranges", "frame", "at", "label"):
+        np.testing.assert_array_equal(getattr(wide, name), getattr(examples, name)[:5])
+    assert wide.sonar.shape == wide.off_axis.shape == wide.distance.shape == (5, LOCAL_CELLS**2, 8)
+    nearest = np.sort(np.abs(wide.off_axis), axis=-1)[..., :4]
+    np.testing.assert_array_equal(nearest, np.sort(np.abs(examples.off_axis[:5]), axis=-1))
+
+
+@pytest.mark.parametrize("zone", [2, 6])
+def test_a_network_is_trained_for_the_sonars_of_its_recipe(recipe, zone, tmp_path):
+    wider = replace(recipe, drives=4, epochs=1, zone=zone)
+    train(None, wider, tmp_path / "mine.npz")
+    loaded = Network.load(tmp_path / "mine.npz")
+    assert loaded.zone == loaded.recipe["zone"] == zone
 
 
 def test_the_gradient_of_the_loss_agrees_with_finite_differences(drives, layers):
@@ -358,6 +393,20 @@ def test_train_takes_up_the_drives_and_the_state_that_wait(examples, recipe, tra
     assert [path.name for path in tmp_path.iterdir()] == ["mine.npz"]
 
 
+@pytest.mark.parametrize("change", [{"zone": 2}, {"squared_error": True}, {"through_map": False}], ids=str)
+def test_what_waits_for_another_recipe_is_not_taken_up(recipe, change, tmp_path, monkeypatch):
+    def stop(*_):
+        raise StoppedError
+
+    keys = set()
+    monkeypatch.setattr(training, "generate", stop)
+    monkeypatch.setattr(training, "_read_arrays", lambda _, key: keys.add(key))
+    for told in (recipe, replace(recipe, **change)):
+        with pytest.raises(StoppedError):
+            train(None, told, tmp_path / "mine.npz")
+    assert len(keys) == 2
+
+
 def test_weights_for_a_folder_that_is_not_there_are_refused_before_training(tmp_path, monkeypatch):
     monkeypatch.setattr(training, "generate", None)
     with pytest.raises(
@@ -369,7 +418,7 @@ def test_weights_for_a_folder_that_is_not_there_are_refused_before_training(tmp_
 def test_the_network_begins_by_saying_the_prior():
     for w, _ in initial(np.random.default_rng(0), (32, 16))[:-1]:
         assert np.std(w) == pytest.approx(np.sqrt(2 / len(w)), rel=0.15)
-    x = jnp.asarray(np.random.default_rng(1).normal(0, 0.5, (200, INPUTS)), jnp.float32)
+    x = jnp.asarray(np.random.default_rng(1).normal(0, 0.5, (200, inputs())), jnp.float32)
     z = forward(initial(np.random.default_rng(0), (32, 16)), x)
     assert np.abs(z - np.log(PRIOR / (1 - PRIOR))).max() < 0.5
 

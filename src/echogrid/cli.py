@@ -69,20 +69,21 @@ class Map:
     resolution: float = 0.12
     """Side of a cell of the map, m."""
     interpreter: str = "network"
-    """network (weights that ship with echogrid), cone, or a weights file."""
+    """network (with the weights that ship), a weights file, or a classical model: cone, cone-no-echo, moravec-elfes,
+    elfes, nav2, nav2-clearing, himm, muriel, dempster-shafer, fuzzy, lim-cho, em."""
     refine: bool = False
     """Clean the finished map with a 3x3 neighbourhood mask."""
 
     def run(self) -> None:
         """Map the log and write the folder."""
-        from echogrid.interpret import interpreter
         from echogrid.mapfile import write_map
         from echogrid.mapping import build_map
+        from echogrid.models import sensor_model
 
         if not 0.005 <= self.resolution <= 10:
             raise UsageError(f"--resolution: found {self.resolution:g}, expected 0.005 to 10 m")
         log, robot, named = _open(self.log, self.robot)
-        model = interpreter(self.interpreter)
+        model = sensor_model(self.interpreter)
         path, count, grid = _Path(), 0, None
 
         def frames() -> Iterator[Frame]:

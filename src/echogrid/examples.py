@@ -19,7 +19,7 @@ from echogrid.drive import truth_of
 from echogrid.echo import Scene
 from echogrid.errors import UsageError
 from echogrid.geometry import inverse, transform
-from echogrid.interpret import HALF_M, LOCAL_CELL_M, LOCAL_CELLS, Zone, zone_of
+from echogrid.interpret import HALF_M, LOCAL_CELL_M, LOCAL_CELLS, ZONE, Zone, zone_of
 from echogrid.mapping import in_cells, local_cells
 from echogrid.metrics import FREE, HIDDEN, SURFACE, Truth
 from echogrid.robot import Robot
@@ -57,10 +57,10 @@ class Examples(NamedTuple):
 
     ranges: Float[ndarray | Array, "drives frames sonars"]
     """Readings, m; inf = no echo, nan = not fired; the last column is nan: a sonar that is not there."""
-    sonar: Integer[ndarray | Array, "drives 576 4"]
-    """The four-sensor zone of each local cell: columns of ``ranges``."""
-    off_axis: Float[ndarray | Array, "drives 576 4"]
-    distance: Float[ndarray | Array, "drives 576 4"]
+    sonar: Integer[ndarray | Array, "drives 576 zone"]
+    """The zone of each local cell: columns of ``ranges``."""
+    off_axis: Float[ndarray | Array, "drives 576 zone"]
+    distance: Float[ndarray | Array, "drives 576 zone"]
     frame: Integer[ndarray | Array, "drives points views"]
     """The frame of each look; -1: no such look."""
     at: Float[ndarray | Array, "drives points views 2"]
@@ -167,7 +167,7 @@ def _views(rng: np.random.Generator, drive: _Drive, zone: Zone, ranges: Float[nd
     )
 
 
-def generate(robot: Robot | None, drives: int, seed: int, progress: bool = False) -> Examples:
+def generate(robot: Robot | None, drives: int, seed: int, progress: bool = False, zone: int = ZONE) -> Examples:
     """Labelled examples from simulated drives.
 
     Args:
@@ -175,6 +175,7 @@ def generate(robot: Robot | None, drives: int, seed: int, progress: bool = False
         drives: number of drives, each in a world and under a physics of its own.
         seed: decides everything.
         progress: show a bar where there is a terminal.
+        zone: sonars that the network is to read for a point; drives and readings do not depend on it.
     """
     rng = np.random.default_rng(seed)
     parts: list[Examples] = []
@@ -182,7 +183,7 @@ def generate(robot: Robot | None, drives: int, seed: int, progress: bool = False
     waiting: list[Callable[[], list[Examples]]] = []
     for _ in range(0, drives, _CHUNK):
         # The simulator works on one chunk while the next is laid out.
-        waiting.append(_begin(rng.spawn(1)[0], robot))
+        waiting.append(_begin(rng.spawn(1)[0], robot, zone))
         if len(waiting) > 1:
             parts += waiting.pop(0)()
             bar.update(_CHUNK)
@@ -192,7 +193,7 @@ def generate(robot: Robot | None, drives: int, seed: int, progress: bool = False
     return _stack(parts[:drives])
 
 
-def _begin(rng: np.random.Generator, robot: Robot | None) -> Callable[[], list[Examples]]:
+def _begin(rng: np.random.Generator, robot: Robot | None, zone: int) -> Callable[[], list[Examples]]:
     """Lay out a chunk of drives and set the simulator on them; the result waits for it and makes examples."""
     batch = [_drive(rng, robot or random_robot(rng)) for _ in range(_CHUNK)]
     physics = [random_physics(rng) for _ in batch]
@@ -213,7 +214,7 @@ def _begin(rng: np.random.Generator, robot: Robot | None) -> Callable[[], list[E
             silent = rng.random(told.shape) < rng.choice([0.0, 0.0, rng.uniform(0, 0.6)])
             padded = np.full((FRAMES, mounts.shape[2] + 1), np.nan)
             padded[:, : d.robot.sonars] = np.where(silent, np.nan, told)
-            examples.append(_views(rng, d, zone_of(d.robot.mounts, local_cells()), padded))
+            examples.append(_views(rng, d, zone_of(d.robot.mounts, local_cells(), zone), padded))
         return examples
 
     return finish

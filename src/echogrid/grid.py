@@ -88,22 +88,66 @@ class Grid:
         return Grid(log_odds, self.observed, self.resolution, self.origin)
 
 
+def covered(
+    poses: Float[ndarray, "frames 3"],
+    radius: float,
+    corner: Int[ndarray, "2"],
+    shape: tuple[int, int],
+    resolution: float,
+) -> Bool[ndarray, "rows cols"]:
+    """Cells whose centre a disc round one of the poses (m) covers.
+
+    Args:
+        poses: m, rad.
+        radius: of the disc, m.
+        corner: the first cell [row, col], counted from the world's origin.
+        shape: rows and columns.
+        resolution: side of a cell, m.
+    """
+    y, x = ((np.arange(n) + 0.5 + first) * resolution for n, first in zip(shape, corner, strict=True))
+    near = np.zeros(shape, dtype=bool)
+    for pose in poses:
+        near |= (y[:, None] - pose[1]) ** 2 + (x[None, :] - pose[0]) ** 2 < radius**2
+    return near
+
+
+Layers = dict[str, ndarray]
+"""What the cells of a part of a map hold, by name; arrays [row, col] or [row, col, channel]."""
+
+
 class GrowingGrid:
-    """The global map while it is built: takes patches of evidence anywhere, grows to hold them.
+    """The global map while it is built: takes evidence anywhere, grows to hold it.
 
     Cells lie on the multiples of the resolution, so that two maps of one place share their cells. Evidence
-    is added unclamped, which makes the result independent of the order of the views.
+    is added unclamped, which makes the result independent of the order of the views. Beside ``log_odds`` and
+    ``observed`` a cell may hold layers of its sensor model's own.
     """
 
     _MARGIN = 64
 
-    def __init__(self, resolution: float):
+    def __init__(self, resolution: float, blank: Layers | None = None):
+        """An empty map.
+
+        Args:
+            resolution: side of a cell, m.
+            blank: further layers: what each holds in a cell of which nobody has spoken, a number or a vector.
+        """
         self.resolution = resolution
+        self._blank: Layers = {"log_odds": np.float32(0)[...], "observed": np.False_[...]} | (blank or {})
         self._first = np.zeros(2, dtype=np.int64)
-        self._log_odds = np.zeros((0, 0), dtype=np.float32)
-        self._observed = np.zeros((0, 0), dtype=bool)
+        self._layers = self._blank_cells((0, 0))
         self._low = np.full(2, np.iinfo(np.int64).max)
         self._high = np.full(2, np.iinfo(np.int64).min)
+
+    def _blank_cells(self, shape: tuple[int, int]) -> Layers:
+        cells = {}
+        for name, value in self._blank.items():
+            # Zeros cost no memory until they are written to.
+            array = np.zeros((*shape, *value.shape), dtype=value.dtype)
+            if np.any(value):
+                array[:] = value
+            cells[name] = array
+        return cells
 
     def reserve(self, low: Int[ndarray, "2"], high: Int[ndarray, "2"]) -> None:
         """Make room for the cells ``low <= [row, col] < high``, counted from the world's origin.
@@ -112,25 +156,37 @@ class GrowingGrid:
             UsageError: the map would pass MAX_CELLS.
         """
         self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
-        last = self._first + self._log_odds.shape
-        if self._log_odds.size and np.all(low >= self._first) and np.all(high <= last):
+        size = self._layers["log_odds"].shape
+        last = self._first + size
+        if np.all(size) and np.all(low >= self._first) and np.all(high <= last):
             return
-        if not self._log_odds.size:
+        if not np.all(size):
             self._first, last = np.asarray(low), np.asarray(high)
         grown_first = np.where(low < self._first, low - self._MARGIN, self._first)
         grown_last = np.where(high > last, high + self._MARGIN, last)
-        shape = grown_last - grown_first
-        if float(shape[0]) * float(shape[1]) > MAX_CELLS:
+        rows, cols = (int(n) for n in grown_last - grown_first)
+        if float(rows) * float(cols) > MAX_CELLS:
             span = (self._high - self._low) * self.resolution
             raise UsageError(
                 f"map: found a drive that spans {span[1]:.6g} x {span[0]:.6g} m at {self.resolution} m a cell, "
                 f"expected at most {MAX_CELLS:.0e} cells (a broken pose, or a coarser --resolution is needed)"
             )
-        offset = self._first - grown_first
-        old = tuple(slice(o, o + n) for o, n in zip(offset, self._log_odds.shape, strict=True))
-        log_odds, observed = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool)
-        log_odds[old], observed[old] = self._log_odds, self._observed
-        self._first, self._log_odds, self._observed = grown_first, log_odds, observed
+        old = tuple(slice(o, o + n) for o, n in zip(self._first - grown_first, size, strict=True))
+        grown = self._blank_cells((rows, cols))
+        for name, layer in self._layers.items():
+            grown[name][old] = layer
+        self._first, self._layers = grown_first, grown
+
+    def window(self, corner: Int[ndarray, "2"], shape: tuple[int, int]) -> Layers:
+        """The layers of a rectangle of cells, as views to read and to write.
+
+        Args:
+            corner: its first cell [row, col], counted from the world's origin; it must lie in what was reserved.
+            shape: its rows and columns.
+        """
+        row, col = corner - self._first
+        part = np.s_[row : row + shape[0], col : col + shape[1]]
+        return {name: layer[part] for name, layer in self._layers.items()}
 
     def fuse(
         self,
@@ -146,21 +202,15 @@ class GrowingGrid:
             evidence: log-odds to add, 0 where the view says nothing.
             spoken: where the view said something.
         """
-        row, col = corner - self._first
-        window = np.s_[row : row + evidence.shape[0], col : col + evidence.shape[1]]
-        self._log_odds[window] += evidence
-        self._observed[window] |= spoken
+        cells = self.window(corner, evidence.shape)
+        cells["log_odds"] += evidence
+        cells["observed"] |= spoken
 
     def grid(self) -> Grid:
         """The part of the map that has been reserved so far, as views of the arrays (not copies)."""
-        if not self._log_odds.size:
-            return Grid(self._log_odds, self._observed, self.resolution, (0.0, 0.0))
-        low, high = self._low - self._first, self._high - self._first
-        window = np.s_[low[0] : high[0], low[1] : high[1]]
+        if not self._layers["log_odds"].size:
+            return Grid(self._layers["log_odds"], self._layers["observed"], self.resolution, (0.0, 0.0))
+        rows, cols = (int(n) for n in self._high - self._low)
+        cells = self.window(self._low, (rows, cols))
         origin = self._low[::-1] * self.resolution
-        return Grid(
-            self._log_odds[window],
-            self._observed[window],
-            self.resolution,
-            (float(origin[0]), float(origin[1])),
-        )
+        return Grid(cells["log_odds"], cells["observed"], self.resolution, (float(origin[0]), float(origin[1])))

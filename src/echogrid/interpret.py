@@ -1,4 +1,4 @@
-"""Interpreters: what one scan says of points round the robot. The network and the classical models are peers.
+"""Interpreters: what one scan, read as a whole, says of points round the robot; and the network, which is one.
 
 An interpreter is bound to a robot and to the points of its local map once; the bound function is traced by
 JAX and run on batches of scans.
@@ -6,8 +6,8 @@ JAX and run on batches of scans.
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from importlib import resources
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -31,8 +31,8 @@ LOOK_RAD = np.deg2rad(30.0)
 LIMIT = 4.0
 """Log-odds at which the network's output levels off."""
 
-ZONE = 4
-"""Sonars that the network reads for a point."""
+ZONE, MOST_ZONE = 4, 8
+"""Sonars that the network reads for a point: the paper's four, and the most that weights may ask for."""
 
 LOCAL_CELLS, LOCAL_CELL_M = 24, 0.12
 """The paper's local map: 24 x 24 cells of 12 cm, the robot in its middle."""
@@ -45,7 +45,7 @@ _FORMAT = "echogrid-mlp-1"
 
 @runtime_checkable
 class Interpreter(Protocol):
-    """What the mapper needs of a sensor model."""
+    """A sensor model that reads all sonars of a scan at once. Its views are fused by Bayes' rule."""
 
     @property
     def name(self) -> str:
@@ -63,27 +63,27 @@ class Interpreter(Protocol):
 
 
 class Zone(NamedTuple):
-    """The four sonars that look nearest to each point, from right to left as seen along the axes."""
+    """The sonars that look nearest to each point, from right to left as seen along the axes."""
 
-    sonar: Int[ndarray, "*n 4"]
-    """Index of the sonar; -1: the array has fewer than four."""
-    off_axis: Float[ndarray, "*n 4"]
+    sonar: Int[ndarray, "*n zone"]
+    """Index of the sonar; -1: the array has fewer than the zone."""
+    off_axis: Float[ndarray, "*n zone"]
     """Bearing of the point from the sonar, off its axis, rad; pi for a missing sonar."""
-    distance: Float[ndarray, "*n 4"]
+    distance: Float[ndarray, "*n zone"]
     """From the sonar to the point, m."""
 
 
-def zone_of(mounts: Float[ndarray, "sonars 3"], p_robot: Float[ndarray, "*n 2"]) -> Zone:
-    """Find the four-sensor zone of points (m) in the frame in which the mounts are given."""
+def zone_of(mounts: Float[ndarray, "sonars 3"], p_robot: Float[ndarray, "*n 2"], zone: int = ZONE) -> Zone:
+    """Find the zone, of so many sonars, of points (m) in the frame in which the mounts are given."""
     to = p_robot[..., None, :] - mounts[:, :2]
     off_axis = wrap(np.arctan2(to[..., 1], to[..., 0]) - mounts[:, 2])
     distance = np.hypot(to[..., 0], to[..., 1])
-    missing = ZONE - len(mounts)
+    missing = zone - len(mounts)
     if missing > 0:
         pad = [(0, 0)] * (off_axis.ndim - 1) + [(0, missing)]
         off_axis = np.pad(off_axis, pad, constant_values=np.pi)
         distance = np.pad(distance, pad, constant_values=1.0)
-    nearest = np.argpartition(np.abs(off_axis), ZONE - 1, axis=-1)[..., :ZONE]
+    nearest = np.argpartition(np.abs(off_axis), zone - 1, axis=-1)[..., :zone]
     # From the sonar that has the point farthest to its left to the one that has it farthest to its right.
     order = np.argsort(np.take_along_axis(-off_axis, nearest, axis=-1), axis=-1)
     nearest = np.take_along_axis(nearest, order, axis=-1)
@@ -94,7 +94,7 @@ def zone_of(mounts: Float[ndarray, "sonars 3"], p_robot: Float[ndarray, "*n 2"])
     )
 
 
-def reading_features(reading: Float[Array, "*n 4"]) -> Float[Array, "*n 12"]:
+def reading_features(reading: Float[Array, "*n zone"]) -> Float[Array, "*n 3*zone"]:
     """What the network is told of the readings (m) of a zone: echo or no echo, and the range.
 
     A sonar that did not fire is neither; ranges far beyond the local map are all alike.
@@ -104,7 +104,9 @@ def reading_features(reading: Float[Array, "*n 4"]) -> Float[Array, "*n 12"]:
     return jnp.concatenate(coded, axis=-1, dtype=jnp.float32)
 
 
-def beyond_features(reading: Float[Array, "*n 4"], distance: Float[Array | ndarray, "*#n 4"]) -> Float[Array, "*n 8"]:
+def beyond_features(
+    reading: Float[Array, "*n zone"], distance: Float[Array | ndarray, "*#n zone"]
+) -> Float[Array, "*n 2*zone"]:
     """How far each echo lies beyond the point, coarse and fine; 0 without an echo."""
     echo = jnp.isfinite(reading)
     beyond = jnp.where(echo, reading, 0.0) - distance
@@ -114,15 +116,16 @@ def beyond_features(reading: Float[Array, "*n 4"], distance: Float[Array | ndarr
 
 
 def place_features(
-    off_axis: Float[Array | ndarray, "*n 4"], distance: Float[Array | ndarray, "*n 4"]
-) -> Float[Array, "*n 5"]:
+    off_axis: Float[Array | ndarray, "*n zone"], distance: Float[Array | ndarray, "*n zone"]
+) -> Float[Array, "*n zone+1"]:
     """Where the point lies in its zone: its bearing off each axis, and its distance."""
     mean = jnp.mean(distance, axis=-1, keepdims=True)
     return jnp.concatenate([jnp.clip(off_axis / 0.8, -2.0, 2.0), mean], axis=-1)
 
 
-INPUTS = 25
-"""The network's inputs: those of the readings, of what lies beyond, and of the place, in this order."""
+def inputs(zone: int = ZONE) -> int:
+    """Number of the network's inputs: of the readings, of what lies beyond, and of the place, in this order."""
+    return 3 * zone + 2 * zone + (zone + 1)
 
 
 Layers = list[tuple[Float[Array | ndarray, "_ _"], Float[Array | ndarray, "_"]]]
@@ -146,9 +149,9 @@ def after_first(layers: Layers, x: Float[Array, "*n hidden"]) -> Float[Array, "*
 def look(
     layers: Layers,
     prior: float,
-    reading: Float[Array, "*n 4"],
-    off_axis: Float[Array, "*n 4"],
-    distance: Float[Array, "*n 4"],
+    reading: Float[Array, "*n zone"],
+    off_axis: Float[Array, "*n zone"],
+    distance: Float[Array, "*n zone"],
 ) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
     """Occupancy probability of points under the training prior, and whether a sonar that fired looks at them.
 
@@ -164,14 +167,14 @@ def look(
     return jnp.where(spoken, p, prior), spoken
 
 
-def looked_at(reading: Float[Array, "*n 4"], off_axis: Float[Array | ndarray, "*#n 4"]) -> Bool[Array, "*n"]:
+def looked_at(reading: Float[Array, "*n zone"], off_axis: Float[Array | ndarray, "*#n zone"]) -> Bool[Array, "*n"]:
     """Whether a sonar of the zone that fired looks at the point."""
     return jnp.any(~jnp.isnan(reading) & (jnp.abs(off_axis) <= LOOK_RAD), axis=-1)
 
 
 @dataclass(frozen=True)
 class Network:
-    """The paper's multilayer perceptron over the four-sensor zone, with its weights."""
+    """The paper's multilayer perceptron over the zone of a point, with its weights."""
 
     layers: Layers
     """Weights and biases: input -> two hidden layers (ReLU) -> log-odds."""
@@ -181,9 +184,14 @@ class Network:
     """How the weights were made."""
     name: str = "network"
 
+    @property
+    def zone(self) -> int:
+        """Sonars that it reads for a point."""
+        return (len(self.layers[0][0]) - 1) // 6
+
     def bind(self, robot: Robot, p_robot: Float[ndarray, "points 2"]) -> Bound:
         """Prepare for the points (m, robot frame) of a local map; see ``Interpreter``."""
-        zone = zone_of(robot.mounts, p_robot)
+        zone = zone_of(robot.mounts, p_robot, self.zone)
         off_axis, distance = zone.off_axis.astype(np.float32), zone.distance.astype(np.float32)
         # A missing sonar reads as one that did not fire: a column of nan behind the last sonar.
         sonar = np.where(zone.sonar >= 0, zone.sonar, robot.sonars)
@@ -191,14 +199,15 @@ class Network:
         # all points that share a zone, and only what lies beyond differs from point to point.
         zones, zone_of_point = np.unique(sonar, axis=0, return_inverse=True)
         w, b = self.layers[0]
-        place = place_features(off_axis, distance) @ w[20:] + b
+        w_reading, w_beyond, w_place = w[: 3 * self.zone], w[3 * self.zone : 5 * self.zone], w[5 * self.zone :]
+        place = place_features(off_axis, distance) @ w_place + b
         zone_of_point = zone_of_point.ravel()
 
         def interpret(ranges: Float[Array, "scans sonars"]):
             padded = jnp.pad(ranges, [(0, 0), (0, 1)], constant_values=jnp.nan)
             reading = padded[:, sonar]
-            shared = reading_features(padded[:, zones]) @ w[:12]
-            sums = beyond_features(reading, distance) @ w[12:20] + shared[:, zone_of_point] + place
+            shared = reading_features(padded[:, zones]) @ w_reading
+            sums = beyond_features(reading, distance) @ w_beyond + shared[:, zone_of_point] + place
             spoken = looked_at(reading, off_axis)
             return jnp.where(spoken, sigmoid(after_first(self.layers, sums)), self.prior), spoken
 
@@ -232,68 +241,14 @@ class Network:
             raise UsageError(f"weights: found no file {path}, expected {expected}") from None
         except Exception as error:  # numpy and zipfile raise many kinds for a damaged file
             raise InputError(path, f"no such file content ({type(error).__name__})", expected) from None
-        sizes = [INPUTS, *(w.shape[-1] for w, _ in layers)]
-        fits = len(layers) == 3 and sizes[-1] == 1 and 0 < prior < 1
-        for i, (w, b) in enumerate(layers):
-            fits = fits and w.shape == (sizes[i], sizes[i + 1]) and b.shape == (sizes[i + 1],)
+        sizes = [*layers[0][0].shape[:1], *(n for w, _ in layers for n in w.shape[1:])] if layers else []
+        fits = len(layers) == 3 and len(sizes) == 4 and sizes[-1] == 1 and 0 < prior < 1
+        fits = fits and sizes[0] in map(inputs, range(1, MOST_ZONE + 1))
+        for (w, b), (fan_in, fan_out) in zip(layers, pairwise(sizes), strict=False):
+            fits = fits and w.shape == (fan_in, fan_out) and b.shape == (fan_out,)
+            fits = fits and w.dtype.kind == b.dtype.kind == "f"
             fits = fits and bool(np.isfinite(w).all() and np.isfinite(b).all())
         if not fits:
-            raise InputError(path, f"layers {sizes}", f"two hidden layers from {INPUTS} inputs to 1 output")
+            wanted = f"two hidden layers from {inputs(1)}, {inputs(2)}, .. or {inputs(MOST_ZONE)} inputs to 1 output"
+            raise InputError(path, f"layers {sizes}", wanted)
         return Network(layers, prior, recipe, Path(path).stem)
-
-
-@dataclass(frozen=True)
-class Cone:
-    """The simple inverse model of Probabilistic Robotics, table 9.2; readings without echo are ignored."""
-
-    p_occupied: float = 0.7
-    p_free: float = 0.35
-    thickness_m: float = 0.24
-    """Depth of the arc that is called occupied (alpha)."""
-    name: str = "cone"
-    prior: float = 0.5
-
-    def bind(self, robot: Robot, p_robot: Float[ndarray, "points 2"]) -> Bound:
-        """Prepare for the points (m, robot frame) of a local map; see ``Interpreter``."""
-        zone = zone_of(robot.mounts, p_robot)
-        first = np.argmin(np.abs(zone.off_axis), axis=-1)[:, None]
-        sonar = np.take_along_axis(zone.sonar, first, axis=-1)[:, 0]
-        distance = np.take_along_axis(zone.distance, first, axis=-1)[:, 0].astype(np.float32)
-        inside = np.abs(np.take_along_axis(zone.off_axis, first, axis=-1)[:, 0]) <= robot.beam_width_rad / 2
-
-        def interpret(ranges: Float[Array, "scans sonars"]):
-            reading = ranges[:, sonar]
-            half = self.thickness_m / 2
-            spoken = inside & jnp.isfinite(reading) & (distance <= reading + half)
-            told = jnp.where(jnp.abs(distance - reading) < half, self.p_occupied, self.p_free)
-            return jnp.where(spoken, told, self.prior), spoken
-
-        return interpret
-
-
-def _shipped() -> Network:
-    return replace(Network.load(str(resources.files("echogrid") / "weights" / "any.npz")), name="network")
-
-
-INTERPRETERS: dict[str, Callable[[], Interpreter]] = {
-    "network": lambda: replace(
-        Network.load(str(resources.files("echogrid") / "weights" / "any.npz")), name="network"
-    ),
-    "cone": Cone,
-}
-"""Interpreters by name; ``network`` has the weights that ship with the package."""
-
-
-def interpreter(name_or_weights: str) -> Interpreter:
-    """An interpreter by name, or the network with weights from a file.
-
-    Raises:
-        InputError: the file is not a weights file.
-        UsageError: neither a name nor a file.
-    """
-    if name_or_weights in INTERPRETERS:
-        return INTERPRETERS[name_or_weights]()
-    if not Path(name_or_weights).exists():
-        known = ", ".join(INTERPRETERS)
-        raise UsageError(f"interpreter: found {name_or_weights}, expected {known} or a weights file")
-    return Network.load(name_or_weights)

@@ -12,10 +12,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy import ndarray
 
+from echogrid.beam import ReadingModel, margin_cells, reading_of, sweeper
+from echogrid.em import ForwardModel
 from echogrid.errors import UsageError
-from echogrid.grid import Grid, GrowingGrid, logit
-from echogrid.interpret import LOCAL_CELL_M, LOCAL_CELLS, Interpreter, interpreter
+from echogrid.grid import P_MIN, Grid, GrowingGrid, covered, logit
+from echogrid.interpret import LOCAL_CELL_M, LOCAL_CELLS, Interpreter
 from echogrid.log import Frame
+from echogrid.models import Model, sensor_model
 from echogrid.robot import Robot
 
 ROBOT_CELLS = 4
@@ -32,6 +35,9 @@ BATCH = 64
 
 WORKERS = 2
 """Batches that are interpreted side by side."""
+
+WINDOW_M = 3.0
+"""Way along an axis within which scans are taken together into one window of the map."""
 
 
 class LocalMap(NamedTuple):
@@ -156,25 +162,45 @@ def _patcher(robot: Robot, model: Interpreter, resolution: float) -> Patcher:
 def build_map(
     frames: Iterable[Frame],
     robot: Robot,
-    model: Interpreter | str = "network",
+    model: Model | str = "network",
     resolution: float = LOCAL_CELL_M,
 ) -> Iterator[Grid]:
     """Fuse the frames of a drive into a global map that grows as the robot drives.
 
     Args:
-        frames: a log; each frame is read once and not kept.
+        frames: a log; each frame is read once, and not kept but by a model that needs the whole log.
         robot: the robot that drove; its mounts are in the order of the readings.
-        model: an interpreter, or its name.
+        model: a sensor model, or its name.
         resolution: side of a global cell, m.
 
     Yields:
-        The map so far, after each batch of frames: views of the growing arrays, not copies.
+        The map so far, after each batch of frames: views of the growing arrays, not copies. A model that needs the
+        whole log yields once.
 
     Raises:
         UsageError: the frames do not fit the robot, or the map would become too large.
     """
     if isinstance(model, str):
-        model = interpreter(model)
+        model = sensor_model(model)
+    fitting = _fitting(frames, robot)
+    if isinstance(model, ForwardModel):
+        yield from model.maps(fitting, robot, resolution)
+    elif isinstance(model, ReadingModel):
+        yield from _by_readings(fitting, robot, model, resolution)
+    else:
+        yield from _by_local_maps(fitting, robot, model, resolution)
+
+
+def _fitting(frames: Iterable[Frame], robot: Robot) -> Iterator[Frame]:
+    for frame in frames:
+        if len(frame.ranges) != robot.sonars:
+            raise UsageError(
+                f"map: found a frame of {len(frame.ranges)} readings, expected {robot.sonars} (robot {robot.name})"
+            )
+        yield frame
+
+
+def _by_local_maps(frames: Iterator[Frame], robot: Robot, model: Interpreter, resolution: float) -> Iterator[Grid]:
     patches = _patcher(robot, model, resolution)
     grown = GrowingGrid(resolution)
     with ThreadPoolExecutor(WORKERS) as pool:
@@ -199,9 +225,6 @@ class _Evidence(NamedTuple):
 
 
 def _interpret(batch: tuple[Frame, ...], robot: Robot, patches: Patcher, resolution: float) -> _Evidence:
-    if any(len(frame.ranges) != robot.sonars for frame in batch):
-        found = next(len(frame.ranges) for frame in batch if len(frame.ranges) != robot.sonars)
-        raise UsageError(f"map: found a frame of {found} readings, expected {robot.sonars} (robot {robot.name})")
     count = len(batch)
     poses = np.array([frame.pose for frame in batch])
     # The last batch is filled up, so that one compilation serves all.
@@ -223,3 +246,45 @@ def _fuse(grown: GrowingGrid, evidence: _Evidence) -> Grid:
     for corner, log_odds, spoken in zip(*evidence, strict=True):
         grown.fuse(corner, log_odds, spoken)
     return grown.grid()
+
+
+def _by_readings(frames: Iterator[Frame], robot: Robot, model: ReadingModel, resolution: float) -> Iterator[Grid]:
+    """The map of a model that takes one reading after the other, in windows of the map that the drive passes."""
+    blank = model.blank()
+    grown = GrowingGrid(resolution, blank | {"stood": np.False_[...]})
+    sweep = sweeper(robot, model, resolution)
+    margin = margin_cells(robot, model, resolution)
+    side = round(WINDOW_M / resolution) + 2 * margin + 1
+    for batch in _near_each_other(frames):
+        poses = np.array([frame.pose for frame in batch])
+        corner = np.floor(poses[:, 1::-1].min(axis=0) / resolution).astype(np.int64) - margin
+        grown.reserve(corner, corner + side)
+        cells = grown.window(corner, (side, side))
+        # The last batch is filled up, so that one compilation serves all.
+        fill = BATCH - len(batch)
+        ranges = np.pad([frame.ranges for frame in batch], [(0, fill), (0, 0)], constant_values=np.nan)
+        readings = reading_of(robot, np.pad(poses, [(0, fill), (0, 0)], mode="edge"), ranges, corner, resolution)
+        swept = sweep({name: cells[name] for name in (*blank, "observed")}, readings)
+        for name, layer in swept.items():
+            cells[name][:] = layer
+        cells["stood"] |= covered(poses, robot.footprint_radius_m, corner, (side, side), resolution)
+        cells["observed"] |= cells["stood"]
+        log_odds = model.log_odds({name: cells[name] for name in blank})
+        # Whatever a model makes of the echoes, where the robot has stood there is nothing.
+        cells["log_odds"][:] = np.where(cells["stood"], np.minimum(log_odds, logit(P_MIN)), log_odds)
+        yield grown.grid()
+
+
+def _near_each_other(frames: Iterator[Frame]) -> Iterator[list[Frame]]:
+    """Frames in their order, as many together as one window of the map holds."""
+    batch: list[Frame] = []
+    low = high = np.zeros(2)
+    for frame in frames:
+        place = frame.pose[:2]
+        low, high = (np.minimum(low, place), np.maximum(high, place)) if batch else (place, place)
+        if batch and (len(batch) == BATCH or np.any(high - low > WINDOW_M)):
+            yield batch
+            batch, low, high = [], place, place
+        batch.append(frame)
+    if batch:
+        yield batch

@@ -1,12 +1,16 @@
-"""How good a map is: its scores against a grid that says what is really there."""
+"""How good a map is: its scores against a grid that says what is really there, and the paths planned on it."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int8
+from jaxtyping import Bool, Float, Int, Int8
 from numpy import ndarray
 
 from echogrid.grid import Grid
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 FREE, SURFACE, HIDDEN = 0, 1, 2
 """What a cell of a truth grid can hold."""
@@ -22,6 +26,16 @@ P_FLOOR = 0.001
 
 ECE_BINS = 15
 
+PATH_STARTS, PATH_GOALS = 8, 8
+"""Starts that are drawn for the path score, and goals for each."""
+
+PATH_LEAST_M = 1.0
+"""No start and goal are nearer than this on the shortest way between them."""
+
+
+_SLACK_M = 1e-9
+"""Distances that differ by rounding alone are equal."""
+
 
 @dataclass(frozen=True)
 class Truth:
@@ -36,6 +50,20 @@ class Truth:
     """Side of a cell, m."""
     origin: tuple[float, float]
     """World x, y of the lower left corner of cell [0, 0], m."""
+
+
+@dataclass(frozen=True)
+class PathScore:
+    """What planning on a map comes to; nan where there is nothing to take a share of. See ``path_score``."""
+
+    collides: float
+    """Share of the paths planned on the map that hit a surface."""
+    blocked: float
+    """Share of the paths planned in the truth that hit something the map claims."""
+    lost: float
+    """Share of the pairs of start and goal between which the map shows no way, though there is one."""
+    pairs: int
+    """Number of pairs."""
 
 
 @dataclass(frozen=True)
@@ -84,13 +112,121 @@ def score(grid: Grid, truth: Truth) -> Scores:
         found=_mean(claimed_near[surface]),
         wiped=_mean((p_surface < FREE_BELOW) & ~claimed_near[surface]),
         free=_mean(p_free < FREE_BELOW),
-        false=_mean(p[free & _far_from(surface)] > OCCUPIED_ABOVE),
+        false=_mean(p[free & (_gap(surface) > FALSE_DISTANCE_CELLS)] > OCCUPIED_ABOVE),
         auc=_roc_area(p_surface, p_free),
         nll=_balanced_nll(p_surface, p_free),
         brier=_mean((p_both - y_both) ** 2),
         ece=_calibration_error(p_both, y_both),
         surface_cells=p_surface.size,
         free_cells=p_free.size,
+    )
+
+
+def path_score(grid: Grid, truth: Truth, robot_radius_m: float, seed: int = 0) -> PathScore:
+    """What a robot meets that plans its way on the map, and what the map would keep it from.
+
+    The path-based false negatives (``collides``) and false positives (``blocked``) of Collins, Collins & Ryan
+    (Occupancy grid mapping: an empirical evaluation, MED 2007), with shortest paths for their A*. Other than there,
+    a map that shows no way at all is told apart (``lost``): it would have no collisions otherwise.
+
+    Starts and goals are free cells of the truth that keep the robot's radius and one cell more from all that is
+    surface or hidden; of each start and goal the truth has a shortest way of at least PATH_LEAST_M. (By the way and
+    not by the crow, for the two sides of a thin wall are the places that a lost wall joins.) They depend on the
+    truth, the radius and the seed alone, so all maps are asked for the same ways.
+
+    Paths go through the truth's cells to any of the eight neighbours, but not between two that touch at a corner
+    when one of those beside is closed. The truth's go where it is free, the map's where p < 0.35; both keep the
+    robot's radius from the centres of surface cells (truth: and hidden ones; map: cells with p > 0.65). A path
+    hits where it goes through a surface (a cell with p > 0.65) or comes nearer to its centre than the radius less
+    one cell, the larger of map and truth: a wall that is one cell off is inexact, not a collision. Only surface
+    counts: what a path meets in hidden cells nobody knows.
+    """
+    from scipy.spatial import KDTree
+
+    cell = max(grid.resolution, truth.resolution)
+    # What lies beyond the truth's border is as little known as what is hidden.
+    gap = _gap(np.pad(truth.cells != FREE, 1, constant_values=True))[1:-1, 1:-1] * truth.resolution
+    surface = truth.cells == SURFACE
+    surface_gap = _gap(surface) * truth.resolution
+    p = _sample(grid, truth, border=0)
+    claims = grid.centre_of(np.argwhere(grid.probability() > OCCUPIED_ABOVE))
+    rows, cols = p.shape
+    x, y = np.meshgrid(np.arange(cols) + 0.5, np.arange(rows) + 0.5)
+    centres = np.stack([x, y], axis=-1) * truth.resolution + truth.origin
+    # Between the map's own cells, for a wall of cells finer than the truth's must not be stepped over.
+    claim_gap = KDTree(claims).query(centres)[0]
+
+    def hits(solid: Bool[ndarray, "rows cols"], gap: Float[ndarray, "rows cols"]) -> Bool[ndarray, "rows cols"]:
+        return solid | (gap < robot_radius_m - cell - _SLACK_M)
+
+    rng = np.random.default_rng(seed)
+    roomy = np.flatnonzero(gap >= robot_radius_m + truth.resolution - _SLACK_M)
+    starts = rng.permutation(roomy)[:PATH_STARTS]
+    real = _Ways((truth.cells == FREE) & (gap >= robot_radius_m - _SLACK_M), starts)
+    pairs = []
+    for i in range(len(starts)):
+        length = real.length[i, roomy] * truth.resolution
+        far = roomy[np.isfinite(length) & (length >= PATH_LEAST_M - _SLACK_M)]
+        pairs += [(i, goal) for goal in rng.permutation(far)[:PATH_GOALS]]
+    if not pairs:
+        return PathScore(*[float("nan")] * 3, pairs=0)
+    start, goal = np.transpose(pairs)
+    shown = _Ways((p < FREE_BELOW) & (claim_gap >= robot_radius_m - _SLACK_M), starts)
+    there = np.isfinite(shown.length[start, goal])
+    return PathScore(
+        collides=_mean(shown.meet(start[there], goal[there], hits(surface, surface_gap))),
+        blocked=_mean(real.meet(start, goal, hits(p > OCCUPIED_ABOVE, claim_gap))),
+        lost=_mean(~there),
+        pairs=len(pairs),
+    )
+
+
+class _Ways:
+    """The shortest ways from some starts to all cells, over the open cells of a grid."""
+
+    def __init__(self, open_: Bool[ndarray, "rows cols"], starts: Int[ndarray, "starts"]):
+        from scipy.sparse.csgraph import dijkstra
+
+        self._cols = open_.shape[1]
+        # The length in cells of the way from each start to each cell (flat index); inf: there is none.
+        self.length, self._before = dijkstra(_lattice(open_), indices=starts, return_predecessors=True)
+
+    def meet(
+        self, start: Int[ndarray, "pairs"], goal: Int[ndarray, "pairs"], solid: Bool[ndarray, "rows cols"]
+    ) -> Bool[ndarray, "pairs"]:
+        """Whether the way from each start (its number) to a goal (flat index) goes through a solid cell.
+
+        Or between two solid cells that touch at a corner.
+        """
+        flat = solid.ravel()
+        here, met = goal, flat[goal]
+        while np.any((back := self._before[start, here]) >= 0):
+            back = np.where(back >= 0, back, here)
+            beside = here - here % self._cols + back % self._cols, back - back % self._cols + here % self._cols
+            met = met | flat[back] | (flat[beside[0]] & flat[beside[1]])
+            here = back
+        return met
+
+
+def _lattice(open_: Bool[ndarray, "rows cols"]) -> "csr_array":
+    """Steps between open cells (flat indices) and their eight neighbours, in cells; none past a closed corner."""
+    from scipy.sparse import csr_array
+
+    index = np.arange(open_.size).reshape(open_.shape)
+    first, second, length = [], [], []
+    for a, b, beside in [
+        (np.s_[:, :-1], np.s_[:, 1:], []),
+        (np.s_[:-1, :], np.s_[1:, :], []),
+        (np.s_[:-1, :-1], np.s_[1:, 1:], [np.s_[:-1, 1:], np.s_[1:, :-1]]),
+        (np.s_[:-1, 1:], np.s_[1:, :-1], [np.s_[:-1, :-1], np.s_[1:, 1:]]),
+    ]:
+        step = np.logical_and.reduce([open_[a], open_[b], *(open_[c] for c in beside)])
+        first.append(index[a][step])
+        second.append(index[b][step])
+        length.append(np.full(step.sum(), np.sqrt(2.0) if beside else 1.0))
+    i, j, steps = np.concatenate(first), np.concatenate(second), np.concatenate(length)
+    return csr_array(
+        (np.tile(steps, 2), (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(open_.size, open_.size)
     )
 
 
@@ -108,13 +244,13 @@ def _sample(grid: Grid, truth: Truth, border: int) -> Float[ndarray, "rows cols"
     return framed[np.ix_(np.clip(row, -1, grid.shape[0]) + 1, np.clip(col, -1, grid.shape[1]) + 1)]
 
 
-def _far_from(surface: Bool[ndarray, "rows cols"]) -> Bool[ndarray, "rows cols"]:
-    """Cells more than FALSE_DISTANCE_CELLS from any surface; all of them where there is none."""
+def _gap(cells: Bool[ndarray, "rows cols"]) -> Float[ndarray, "rows cols"]:
+    """Distance (Euclid, by centres, in cells) from each cell to the nearest of some; inf where there are none."""
     from scipy.ndimage import distance_transform_edt
 
-    if not surface.any():
-        return np.ones_like(surface)
-    return distance_transform_edt(~surface) > FALSE_DISTANCE_CELLS
+    if not cells.any():
+        return np.full(cells.shape, np.inf)
+    return np.asarray(distance_transform_edt(~cells))
 
 
 def _mean(values: ndarray) -> float:

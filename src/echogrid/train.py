@@ -26,7 +26,7 @@ from echogrid.errors import UsageError
 from echogrid.examples import POINTS, Examples, generate
 from echogrid.files import replacing
 from echogrid.grid import logit
-from echogrid.interpret import INPUTS, Layers, Network, look
+from echogrid.interpret import ZONE, Layers, Network, inputs, look
 from echogrid.mapping import surrounding
 from echogrid.metrics import FREE, HIDDEN, SURFACE
 from echogrid.robot import Robot, robot_yaml
@@ -57,11 +57,17 @@ class Recipe:
     """Drives in a step of the optimiser."""
     learning_rate: float = 4e-3
     seed: int = 1
+    zone: int = ZONE
+    """Sonars that the network reads for a point, at most MOST_ZONE."""
+    squared_error: bool = False
+    """Least squares, as when the paper was written, in place of cross-entropy."""
+    through_map: bool = True
+    """Train on the fused map and the single looks; False: on the single looks alone, as the paper does."""
 
 
-def initial(rng: np.random.Generator, hidden: tuple[int, int]) -> Layers:
+def initial(rng: np.random.Generator, hidden: tuple[int, int], zone: int = ZONE) -> Layers:
     """Random layers of the right scale for ReLU units; the output begins near the prior: looks say nothing."""
-    sizes = [INPUTS, *hidden, 1]
+    sizes = [inputs(zone), *hidden, 1]
     gain = [np.sqrt(2.0 / n) for n in sizes[:-2]] + [0.02]
     bias = [np.zeros(n, dtype=np.float32) for n in sizes[1:]]
     bias[-1][:] = logit(PRIOR)
@@ -71,16 +77,29 @@ def initial(rng: np.random.Generator, hidden: tuple[int, int]) -> Layers:
     ]
 
 
-def _mirrored(x: Float[Array, "*n 4"], flip: Array, sign: float) -> Float[Array, "*n 4"]:
+def _mirrored(x: Float[Array, "*n zone"], flip: Array, sign: float) -> Float[Array, "*n zone"]:
     return jnp.where(flip, sign * x[..., ::-1], x)
 
 
-def loss(layers: Layers, batch: Examples, prior: float, flip: Array, repeat: Array) -> Array:
-    """Cross-entropy of single looks and of the fused map, see SURFACE_WEIGHT.
+def _squared_error(z: Float[Array, "*n"], target: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    return (jax.nn.sigmoid(z) - target) ** 2
+
+
+def loss(
+    layers: Layers,
+    batch: Examples,
+    prior: float,
+    flip: Array,
+    repeat: Array,
+    squared_error: bool = False,
+    through_map: bool = True,
+) -> Array:
+    """Cross-entropy of single looks and of the fused map, see SURFACE_WEIGHT and ``Recipe``.
 
     Hidden points are to stay at 0.5. For each drive, ``flip`` (bool) mirrors left and right, and ``repeat``
     (at least 1) says how often each look comes again, as it does when a robot drives slowly.
     """
+    error = _squared_error if squared_error else optax.sigmoid_binary_cross_entropy
     drive = jnp.arange(len(batch.label))[:, None, None, None]
     cells, weights, _ = surrounding(*jnp.moveaxis(jnp.asarray(batch.at, jnp.float32), -1, 0))
     cell = jnp.stack(cells, axis=-1)
@@ -96,16 +115,16 @@ def loss(layers: Layers, batch: Examples, prior: float, flip: Array, repeat: Arr
     target = jnp.where(batch.label == SURFACE, 1.0, jnp.where(batch.label == FREE, 0.0, 0.5))
     share = jnp.where(batch.label == SURFACE, SURFACE_WEIGHT / POINTS[0], 1 / (POINTS[1] + POINTS[2]))
     weight = jnp.where(batch.label == HIDDEN, HIDDEN_WEIGHT / POINTS[3], share)
-    fused = optax.sigmoid_binary_cross_entropy(repeat[:, None] * jnp.sum(evidence, axis=-1), target)
+    fused = error(repeat[:, None] * jnp.sum(evidence, axis=-1), target)
     seen = jnp.any(there, axis=-1)
     map_loss = jnp.sum(weight * seen * fused) / jnp.sum(weight * seen)
     # Single looks keep the training prior: surface points weigh as the prior has them.
     single_target = jnp.where(batch.label == HIDDEN, prior, target)[..., None]
     share = jnp.where(batch.label == SURFACE, prior / POINTS[0], (1 - prior) / (POINTS[1] + POINTS[2]))
     weight = jnp.where(batch.label == HIDDEN, HIDDEN_WEIGHT / POINTS[3], share)[..., None]
-    single = optax.sigmoid_binary_cross_entropy(z, jnp.broadcast_to(single_target, z.shape))
+    single = error(z, jnp.broadcast_to(single_target, z.shape))
     single_loss = jnp.sum(weight * there * single) / jnp.sum(weight * there)
-    return map_loss + SINGLE_WEIGHT * single_loss
+    return map_loss + SINGLE_WEIGHT * single_loss if through_map else single_loss
 
 
 def _schedule(recipe: Recipe, steps: int) -> optax.GradientTransformation:
@@ -113,10 +132,12 @@ def _schedule(recipe: Recipe, steps: int) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
 
 
-@partial(jax.jit, static_argnames="optimiser")
-def _step(optimiser, layers, state, examples, index, flip, repeat):
+@partial(jax.jit, static_argnames=("optimiser", "recipe"))
+def _step(optimiser, recipe, layers, state, examples, index, flip, repeat):
     batch = jax.tree.map(lambda v: v[index], examples)
-    value, gradient = jax.value_and_grad(loss)(layers, batch, PRIOR, flip, repeat)
+    value, gradient = jax.value_and_grad(loss)(
+        layers, batch, PRIOR, flip, repeat, recipe.squared_error, recipe.through_map
+    )
     updates, state = optimiser.update(gradient, state)
     return optax.apply_updates(layers, updates), state, value
 
@@ -140,7 +161,7 @@ def fit(
     drives = len(examples.label)
     per_epoch = max(1, drives // recipe.batch)
     optimiser = _schedule(recipe, per_epoch * recipe.epochs)
-    layers = initial(np.random.default_rng(recipe.seed), recipe.hidden)
+    layers = initial(np.random.default_rng(recipe.seed), recipe.hidden, recipe.zone)
     state = optimiser.init(layers)
     losses: list[float] = []
     kept = _read_arrays(checkpoint, key) if checkpoint else None
@@ -156,7 +177,7 @@ def fit(
         for index in np.array_split(rng.permutation(drives)[: per_epoch * recipe.batch], per_epoch):
             flip = rng.random(len(index)) < 0.5
             repeat = np.exp(rng.uniform(0, np.log(REPEAT), len(index))).astype(np.float32)
-            layers, state, value = _step(optimiser, layers, state, held, index, flip, repeat)
+            layers, state, value = _step(optimiser, recipe, layers, state, held, index, flip, repeat)
             values.append(value)
         losses.append(float(np.mean(values)))
         bar.set_postfix(loss=f"{losses[-1]:.4f}")
@@ -191,7 +212,7 @@ def train(robot: Robot | None, recipe: Recipe, out: Path, progress: bool = False
     if kept is None:
         with replacing(checkpoint):
             pass  # where nothing can be written, say so before the work
-        examples = generate(robot, recipe.drives, recipe.seed, progress)
+        examples = generate(robot, recipe.drives, recipe.seed, progress, recipe.zone)
         _write_arrays(drives_file, key, examples)
     else:
         examples = Examples(*kept)

@@ -1,0 +1,100 @@
+"""Figures 6 to 9: rooms and corridors of different walls, mapped with the same weights and settings.
+
+    python experiments/figures_6_to_9.py
+
+Plant 2 is the world `plant` with smooth walls, Plant 3 the same with rough ones; corridor 1 (one painted wall, one
+of tiles) and corridor 2 (wood) are the worlds `corridor` and `corridor-wood`. The plans of the paper are lost: these
+are our own. A B21 and a Robuter II drive through each. For figure 6 to 9 each there is a figure with both robots' maps;
+the maps of Plant 2 and 3 are also shown before and after the neighbourhood mask of the paper's earlier system, and by
+every classical model beside the network.
+"""
+
+from dataclasses import asdict
+
+from matplotlib.figure import Figure
+
+from echogrid import Robot, World, build_map
+from echogrid.drive import tour, truth_of
+from echogrid.metrics import score
+from echogrid.models import MODELS
+from echogrid.simulate import Simulator
+from paper import draw_grid, draw_key, record, save
+
+SEED, RESOLUTION = 5, 0.12
+ROBOTS = {"b21": "B21", "robuter2": "Robuter II"}
+PLACES = {
+    "figure_6": ("plant", "smooth", "Plant 2: smooth walls"),
+    "figure_7": ("plant", "rough", "Plant 3: rough walls"),
+    "figure_8": ("corridor", "as-given", "Corridor 1: a painted wall and one of tiles"),
+    "figure_9": ("corridor-wood", "as-given", "Corridor 2: wooden walls"),
+}
+
+
+def drive(place, robot_name):
+    """World, robot, poses and frames of a drive."""
+    world_name, walls, _ = PLACES[place]
+    world, robot = World.load(world_name).with_walls(walls), Robot.load(robot_name)
+    poses = tour(world, robot.footprint_radius_m + 0.1)
+    return world, robot, poses, list(Simulator(world, robot).frames(poses, SEED))
+
+
+def mapped(frames, robot, model):
+    """The finished map."""
+    *_, grid = build_map(frames, robot, model, RESOLUTION)
+    return grid
+
+
+def numbers(grid, truth):
+    """Scores, rounded."""
+    return {name: round(value, 4) for name, value in asdict(score(grid, truth)).items()}
+
+
+def page(panels, columns, width, title, name):
+    """Panels of (heading, grid, poses, world) of one world as a figure; ``width`` of each in inches."""
+    rows = -(-len(panels) // columns)
+    low, high = panels[0][3].bounds()
+    height = width * (high[1] - low[1] + 1.2) / (high[0] - low[0] + 1.2)
+    figure = Figure(figsize=(width * columns + 1.6, (height + 0.4) * rows + 1.3), layout="constrained")
+    figure.suptitle(title)
+    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    used = list(axes.flat[: len(panels)])
+    for panel, (heading, grid, poses, world) in zip(used, panels, strict=True):
+        shown = draw_grid(panel, grid, poses, world, 1.0 if columns < 3 else 0.6)
+        panel.set_title(heading, fontsize="medium")
+    for panel in axes.flat[len(panels) :]:
+        panel.set_axis_off()
+    for panel in used[-columns:]:
+        panel.set_xlabel("x (m)")
+        panel.tick_params(labelbottom=True)
+    for panel in axes[:, 0]:
+        panel.set_ylabel("y (m)")
+    draw_key(figure, shown, used)
+    save(figure, name)
+
+
+def main():
+    measured = {}
+    refinement = []
+    for place, (_, _, title) in PLACES.items():
+        panels = []
+        for robot_name, label in ROBOTS.items():
+            world, robot, poses, frames = drive(place, robot_name)
+            grid, truth = mapped(frames, robot, "network"), truth_of(world, poses)
+            measured[f"{place} {robot_name}"] = numbers(grid, truth)
+            panels.append((f"{label}, {len(frames)} scans", grid, poses, world))
+            if place in ("figure_6", "figure_7"):
+                measured[f"{place} {robot_name} refined"] = numbers(grid.refined(), truth)
+            if robot_name == "b21" and place in ("figure_6", "figure_7"):
+                refinement += [
+                    (f"{title}, as fused", grid, poses, world),
+                    (f"{title}, refined", grid.refined(), poses, world),
+                ]
+                others = [(name, mapped(frames, robot, name), poses, world) for name in MODELS]
+                page(others, 4, 2.9, f"{title}: the same B21 drive, every model", f"models_{place[-1]}")
+        page(panels, 2, 4.8, f"{title}; same weights and settings throughout", place)
+    page(refinement, 2, 4.8, "The neighbourhood mask of the earlier system (B21)", "refinement")
+    record("figures_6_to_9", measured)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,120 @@
+"""docs/results.md from the measured numbers: fills experiments/results.md.in from docs/paper/*.json.
+
+python experiments/results.py
+"""
+
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from held_out import PLACES, SHOWN, SIMULATORS
+from paper import save
+
+TEMPLATE, OUT = Path(__file__).parent / "results.md.in", Path(__file__).parent.parent / "docs" / "results.md"
+DRAWN = ("nll", "wiped")
+
+
+def rows(header, body):
+    """A Markdown table."""
+    lines = ["| " + " | ".join(header) + " |", "|---" * len(header) + "|"]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in body])
+
+
+def score_table(means):
+    """Every model with every score, the 95 % interval below each mean; the best of each column in bold."""
+    best = {}
+    for name in SHOWN:
+        values = [scores[name][0] for scores in means.values() if scores[name]]
+        best[name] = (max if name in ("found", "free", "auc") else min)(values) if values else None
+    body = []
+    for model, scores in means.items():
+        row = [f"`{model}`"]
+        for name in SHOWN:
+            if scores[name] is None:
+                row.append("-")
+                continue
+            mean, low, high = scores[name]
+            shown = f"**{mean:.3f}**" if mean == best[name] else f"{mean:.3f}"
+            row.append(f"{shown}<br><sub>{low:.3f}-{high:.3f}</sub>")
+        body.append(row)
+    return rows(["model", *SHOWN], body)
+
+
+def ratio_table(found):
+    """The network against the best other model of each place under each simulator."""
+    body = []
+    for simulator in SIMULATORS:
+        for place in PLACES:
+            row = [simulator, place]
+            for name in DRAWN:
+                entry = found["ratios"][simulator][place][name]
+                best, ratio = entry["best other"], entry["ratio"]
+                network, other = (found["means"][simulator][place][m][name][0] for m in ("network", best))
+                row += [f"`{best}`", f"{network:.3f} / {other:.3f}"]
+                row.append("-" if ratio is None else f"{ratio[0]:.2f}<br><sub>{ratio[1]:.2f}-{ratio[2]:.2f}</sub>")
+            body.append(row)
+    header = ["simulator", "walls", "lowest `nll` of the others", "network / it", "ratio"]
+    return rows([*header, "fewest `wiped` of the others", "network / it", "ratio"], body)
+
+
+def draw_models(means):
+    """Likelihood and wiped of every model in every place, with intervals."""
+    models = list(means[PLACES[0]])
+    figure = Figure(figsize=(12, 8.2), layout="constrained")
+    axes = figure.subplots(len(DRAWN), len(PLACES), sharey=True, sharex="row")
+    for line, name in zip(axes, DRAWN, strict=True):
+        for panel, place in zip(line, PLACES, strict=True):
+            for y, model in enumerate(models):
+                mean, low, high = means[place][model][name]
+                colour = "tab:red" if model == "network" else "0.25"
+                panel.plot([low, high], [y, y], color=colour, lw=1.5)
+                panel.plot(mean, y, "o", color=colour, ms=5)
+            panel.axvline(means[place]["network"][name][0], color="tab:red", lw=0.6, ls=":")
+            panel.set_title(f"{place} walls" if place != "corridor" else "corridors, mixed walls", fontsize="medium")
+            panel.set_xlabel(f"{name} (lower is better)")
+            panel.set_yticks(range(len(models)), models)
+            panel.grid(axis="x", alpha=0.3)
+            if name == "wiped":
+                panel.set_xscale("symlog", linthresh=0.01)
+                panel.set_xticks([0, 0.01, 0.1, 1], ["0", "0.01", "0.1", "1"])
+                panel.set_xlim(-0.001, 1.1)
+        line[0].invert_yaxis()
+    figure.suptitle("Every model on the same held-out drives: means over 20 rooms and 95 % intervals")
+    save(figure, "models")
+
+
+def maps_table(maps):
+    """Scores of the maps of figures 6 to 9."""
+    labels = {
+        "figure_6": "Plant 2, smooth",
+        "figure_7": "Plant 3, rough",
+        "figure_8": "Corridor 1, paint and tiles",
+        "figure_9": "Corridor 2, wood",
+    }
+    names = ("found", "wiped", "free", "false", "auc", "nll", "ece")
+    body = []
+    for key, scores in maps.items():
+        figure, robot, *refined = key.split()
+        label = {"b21": "B21", "robuter2": "Robuter II"}[robot]
+        body.append([labels[figure], label, *(refined or ["as fused"]), *(f"{scores[name]:.3f}" for name in names)])
+    return rows(["place", "robot", "map", *names], body)
+
+
+def corridor_table(corridor):
+    """Shares measured on the recorded corridor."""
+    names = list(next(iter(corridor.values())))
+    return rows(["model", *names], [[f"`{m}`", *(f"{100 * v[n]:.1f} %" for n in names)] for m, v in corridor.items()])
+
+
+def tune_table(tuned):
+    """What the search chose."""
+    body = []
+    for model, found in tuned.items():
+        setting = ", ".join(f"{key} {value}" for key, value in found["setting"].items())
+        body.append([f"`{model}`", setting, f"{found['nll']:.3f}"])
+    return rows(["model", "setting", "mean nll on the training rooms"], body)
+
+
+def speed_table(speed):
+    """Scans a second."""
+    return rows(["model", "scans/s"], [[f"`{model}`", f"{rate:,}"] for model, rate in speed["scans/s"].items()])

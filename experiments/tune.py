@@ -1,0 +1,132 @@
+"""The parameters of the classical models: one search, the same for all, on rooms that no table is made of.
+
+    python experiments/tune.py [MODEL ...]
+
+For each model CANDIDATES settings are drawn at random from the ranges below (the first is the one it has now),
+scored on one drive of each kind of room, and the best FINALISTS again on all drives; the one with the lowest mean
+`nll` wins. Half of the drives have echogrid's default physics, half a physics of their own. All that a source fixes
+stays fixed. The winners are written to docs/paper/tune.json; they are the defaults in classical.py and em.py.
+"""
+
+import argparse
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, replace
+from multiprocessing import get_context
+
+import numpy as np
+
+from echogrid import Robot, build_map
+from echogrid.drive import truth_of
+from echogrid.metrics import score
+from echogrid.models import MODELS
+from held_out import KINDS, frames, rooms
+from paper import record, recorded
+
+SEED, ROBOT, RESOLUTION = 30_000_000, "b21", 0.12
+CANDIDATES, FINALISTS, ROOMS = 48, 10, 4
+
+REACH = {"reach_m": [0.6, 0.8, 1.0, 1.3, 1.6, 2.0, 3.0]}
+COMMON = REACH | {"no_echo": [False, True]}
+RANGES = {
+    "cone": REACH | {"p_occupied": (0.55, 0.9), "p_free": (0.2, 0.48), "thickness_m": (0.12, 0.4)},
+    "cone-no-echo": REACH | {"p_occupied": (0.55, 0.9), "p_free": (0.2, 0.48), "thickness_m": (0.12, 0.4)},
+    "moravec-elfes": COMMON | {"error_m": (0.06, 0.3)},
+    "elfes": COMMON | {"p_hit": (0.02, 0.6), "sigma_m": (0.04, 0.2), "sigma_rad": (0.05, 0.25)},
+    "nav2": {"phi_m": (0.5, 3.0)},
+    "himm": COMMON | {"certain": (3.0, 15.0)},
+    "muriel": COMMON | {"strength": (0.05, 0.9), "background": (0.01, 0.5), "specular": (0.0, 1.0)},
+    "dempster-shafer": COMMON | {"rho": (0.01, 0.4), "thickness_m": (0.12, 0.36)},
+    "fuzzy": COMMON
+    | {
+        "k_empty": (0.01, 0.5),
+        "k_occupied": (0.05, 0.9),
+        "depth_m": (0.06, 0.3),
+        "visibility_m": (0.5, 3.0),
+        "union": (0.3, 1.0),
+    },
+    "lim-cho": COMMON
+    | {"p_occupied": (0.55, 0.9), "thickness_m": (0.12, 0.4), "fading_m": (1.0, 6.0), "p_specular": (0.01, 0.3)},
+    "em": COMMON
+    | {
+        "p_hit": (0.03, 0.5),
+        "p_random": (0.02, 0.5),
+        "sigma_m": (0.05, 0.15),
+        "p_occupied": (0.02, 0.3),
+        "weight": (0.05, 0.6),
+    },
+}
+"""A list: one of these; a pair: between these, evenly in the logarithm if the ends are four-fold apart."""
+
+
+def drives():
+    """Frames and truths: room by room one of each kind, so that the first three are of all kinds."""
+    robot, found = Robot.load(ROBOT), []
+    for kind in KINDS:
+        found.append([])
+        for room, (world, poses) in enumerate(rooms(kind, ROOMS, robot, SEED)):
+            simulator = ("varied", "default")[room % 2]
+            found[-1].append((frames(simulator, world, poses, robot, room, SEED), truth_of(world, poses)))
+    return [drive for several in zip(*found, strict=True) for drive in several]
+
+
+def drawn(rng, ranges):
+    """A setting at random."""
+    setting = {}
+    for name, range_ in ranges.items():
+        if isinstance(range_, list):
+            setting[name] = range_[rng.integers(len(range_))]
+        elif range_[0] > 0 and range_[1] >= 4 * range_[0]:
+            setting[name] = float(f"{np.exp(rng.uniform(*np.log(range_))):.3g}")
+        else:
+            setting[name] = float(f"{rng.uniform(*range_):.3g}")
+    return setting
+
+
+def nll(model, some):
+    """Mean over drives."""
+    robot = Robot.load(ROBOT)
+    values = []
+    for log, truth in some:
+        *_, grid = build_map(log, robot, model, RESOLUTION)
+        values.append(score(grid, truth).nll)
+    return float(np.mean(values))
+
+
+def search(name, all_drives):
+    """The best setting of a model and what it reached."""
+    rng = np.random.default_rng([SEED, list(RANGES).index(name)])
+    now = MODELS[name]()
+    settings = [{key: asdict(now)[key] for key in RANGES[name]}]
+    settings += [drawn(rng, RANGES[name]) for _ in range(CANDIDATES - 1)]
+    first = [nll(replace(now, **setting), all_drives[: len(KINDS)]) for setting in settings]
+    best = np.argsort(first, kind="stable")[:FINALISTS]
+    again = [nll(replace(now, **settings[i]), all_drives) for i in best]
+    winner = int(np.argmin(again))
+    return {
+        "setting": settings[best[winner]],
+        "nll": again[winner],
+        "nll of the ten finalists": sorted(again),
+        "nll before, on the first three drives": first[0],
+        "nll, on the first three drives": first[best[winner]],
+    }
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("models", nargs="*", default=list(RANGES))
+    args = parser.parse_args()
+    all_drives = drives()
+    print(f"{len(all_drives)} drives, {sum(len(log) for log, _ in all_drives)} scans", flush=True)
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        jobs = {name: pool.submit(search, name, all_drives) for name in args.models}
+        for name, job in jobs.items():
+            try:
+                known = recorded("tune")
+            except FileNotFoundError:
+                known = {}
+            record("tune", known | {name: job.result()})
+            print(name, job.result(), flush=True)
+
+
+if __name__ == "__main__":
+    main()

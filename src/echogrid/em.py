@@ -1,0 +1,229 @@
+"""Thrun's forward model: the map that makes the whole log likely, found by expectation maximisation.
+
+The other models ask what a reading says of a cell, each cell by itself. This one asks which map explains all
+readings: an echo has one cause, so cells that share a cone compete for it. Source: Thrun, Learning Occupancy Grid
+Maps with Forward Sensor Models, Autonomous Robots 15 (2003).
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from echogrid.errors import UsageError
+from echogrid.geometry import compose, wrap
+from echogrid.grid import P_MIN, Grid, GrowingGrid, covered, logit
+from echogrid.log import Frame
+from echogrid.robot import Robot
+
+MAX_READINGS = 250_000
+"""The whole log is held in memory with the cells that each reading may tell of: about 2 GB at this many."""
+
+_CHUNK = 512
+"""Readings whose cones are laid out together."""
+
+_MOST_ROUNDS, _LEAST_GAIN, _APART = 200, 1e-6, 5
+"""Rounds of flips at most; the least gain of a flip; cells within which one flip is made at a time."""
+
+
+class _Cones(NamedTuple):
+    """Pairs of a reading and a cell in its cone, reading by reading, in each by distance."""
+
+    cell: Int[ndarray, "pairs"]
+    """Flat index of the cell in the map."""
+    reading: Int[ndarray, "pairs"]
+    density: Float[ndarray, "pairs"]
+    """N(z; d, sigma): density of the reading if this cell is its cause, 1/m; 0 if the cell cannot be."""
+    start: Int[ndarray, "readings+1"]
+    """First pair of each reading, and the end of the last."""
+    echo: Bool[ndarray, "readings"]
+    """Whether the reading ended within reach; if not, all that is known is that nothing before sent it back."""
+    uniform: float
+    """Density of a random reading, 1/m."""
+
+
+@dataclass(frozen=True)
+class ForwardModel:
+    """A reading is random, or the echo of the k-th occupied cell in its cone, or nothing came back.
+
+    p(z | m) = p_random / z_max + (1 - p_random) sum_k p_hit (1 - p_hit)^(k - 1) N(z; d_k, sigma), and for no echo
+    p_random + (1 - p_random) (1 - p_hit)^K. Cells are flipped as long as that raises p(Z | m) p(m); the expectation
+    over the causes is taken anew for each flip considered, so that each step raises the likelihood itself (Neal &
+    Hinton 1998). What is left between a cell's two states, all others kept, is its log-odds.
+    """
+
+    reach_m: float = 2.0
+    """Cells farther from the sonar are left out, and those beyond its maximum range."""
+    p_hit: float = 0.2
+    """Probability that an occupied cell in the cone sends the echo, if none before it did."""
+    p_random: float = 0.1
+    sigma_m: float = 0.08
+    p_occupied: float = 0.1
+    """Prior of each cell."""
+    weight: float = 0.3
+    """Share of the log-odds that is believed: readings from one place repeat each other."""
+    no_echo: bool = True
+    """Whether readings without echo are used."""
+    name: str = "em"
+
+    def maps(self, frames: Iterable[Frame], robot: Robot, resolution: float) -> Iterator[Grid]:
+        """The map of a whole log, once; nothing for no frames.
+
+        Args:
+            frames: a log; all of it is read before the map is made.
+            robot: the robot that drove.
+            resolution: side of a cell, m.
+
+        Raises:
+            UsageError: the log or the map is too large.
+        """
+        kept = list(self._kept(frames, robot))
+        if not kept:
+            return
+        poses, ranges = (np.array(column, dtype=float) for column in zip(*kept, strict=True))
+        reach = float(np.max(np.hypot(robot.mounts[:, 0], robot.mounts[:, 1]))) + self.reach_m + 2 * resolution
+        low = np.floor((poses[:, 1::-1].min(axis=0) - reach) / resolution).astype(np.int64)
+        high = np.ceil((poses[:, 1::-1].max(axis=0) + reach) / resolution).astype(np.int64)
+        grown = GrowingGrid(resolution)
+        grown.reserve(low, high)
+        rows, cols = (int(n) for n in high - low)
+        layers = grown.window(low, (rows, cols))
+        stood = covered(poses, robot.footprint_radius_m, low, (rows, cols), resolution)
+        cones = self._cones(robot, poses, ranges, low, (rows, cols), resolution)
+        log_odds = self._settle(cones, stood)
+        told = np.bincount(cones.cell, minlength=stood.size).reshape(stood.shape) > 0
+        # Of a cell in no cone nothing is known, not even that it is as rarely occupied as the prior has it.
+        layers["log_odds"][:] = np.where(stood, min(0.0, float(logit(P_MIN))), np.where(told, log_odds, 0))
+        layers["observed"][:] = told | stood
+        yield grown.grid()
+
+    def _kept(self, frames: Iterable[Frame], robot: Robot) -> Iterator[tuple[ndarray, ndarray]]:
+        for count, frame in enumerate(frames, start=1):
+            if count * robot.sonars > MAX_READINGS:
+                raise UsageError(
+                    f"map: found more than {MAX_READINGS} readings, expected fewer for {self.name}, which keeps the "
+                    "whole log in memory"
+                )
+            yield frame.pose, frame.ranges
+
+    def _cones(
+        self,
+        robot: Robot,
+        poses: Float[ndarray, "frames 3"],
+        ranges: Float[ndarray, "frames sonars"],
+        low: Int[ndarray, "2"],
+        shape: tuple[int, int],
+        resolution: float,
+    ) -> _Cones:
+        sonars = compose(poses[:, None, :], robot.mounts[None]).reshape(-1, 3)
+        z = ranges.reshape(-1)
+        used = np.isfinite(z) | (np.isinf(z) & self.no_echo)
+        sonars, z = sonars[used], z[used]
+        parts = [
+            self._pairs(robot, sonars[first : first + _CHUNK], z[first : first + _CHUNK], low, shape[1], resolution)
+            for first in range(0, max(len(z), 1), _CHUNK)
+        ]
+        cell, reading, density = (np.concatenate(column) for column in zip(*parts, strict=True))
+        reading += np.repeat(np.arange(len(parts)) * _CHUNK, [len(part[0]) for part in parts])
+        start = np.searchsorted(reading, np.arange(len(z) + 1))
+        return _Cones(cell, reading, density, start, z <= self._reach(robot), 1 / robot.max_range_m)
+
+    def _pairs(
+        self,
+        robot: Robot,
+        sonars: Float[ndarray, "readings 3"],
+        z: Float[ndarray, "readings"],
+        low: Int[ndarray, "2"],
+        cols: int,
+        resolution: float,
+    ) -> tuple[Int[ndarray, "pairs"], Int[ndarray, "pairs"], Float[ndarray, "pairs"]]:
+        """Cell, reading and density of each pair, see ``_Cones``."""
+        reach = self._reach(robot)
+        span = int(np.ceil(reach / resolution)) + 1
+        steps = np.arange(-span, span + 1)
+        row, col = (v.ravel() for v in np.meshgrid(steps, steps, indexing="ij"))
+        home = np.floor(sonars[:, :2] / resolution).astype(np.int64)
+        x = (home[:, :1] + col + 0.5) * resolution - sonars[:, :1]
+        y = (home[:, 1:] + row + 0.5) * resolution - sonars[:, 1:2]
+        distance = np.hypot(x, y)
+        inside = np.abs(wrap(np.arctan2(y, x) - sonars[:, 2:])) <= robot.beam_width_rad / 2
+        # What lies behind the echo is not known.
+        inside &= distance <= np.minimum(z + 3 * self.sigma_m, reach)[:, None]
+        reading, k = np.nonzero(inside)
+        order = np.lexsort((distance[reading, k], reading))
+        reading, k = reading[order], k[order]
+        cell = (home[reading, 1] + row[k] - low[0]) * cols + home[reading, 0] + col[k] - low[1]
+        off = (z[reading] - distance[reading, k]) / self.sigma_m
+        density = np.exp(-(off**2) / 2) / (self.sigma_m * np.sqrt(2 * np.pi))
+        return cell, reading, np.where(z[reading] <= reach, density, 0.0)
+
+    def _reach(self, robot: Robot) -> float:
+        return min(self.reach_m, robot.max_range_m)
+
+    def _settle(self, cones: _Cones, stood: Bool[ndarray, "rows cols"]) -> Float[ndarray, "rows cols"]:
+        """Flip cells until no flip raises the likelihood; the log-odds of each cell given all others."""
+        from scipy.ndimage import maximum_filter
+
+        occupied = np.zeros(stood.shape, dtype=bool)
+        likelihood, gain = self._flips(cones, occupied)
+        for _ in range(_MOST_ROUNDS):
+            wanted = np.where(stood, -np.inf, gain)
+            # Flips that share readings spoil each other: of neighbours the best goes first.
+            apart = (wanted > _LEAST_GAIN) & (wanted == maximum_filter(wanted, size=_APART))
+            chosen = np.flatnonzero(apart)
+            chosen = chosen[np.argsort(-wanted.reshape(-1)[chosen], kind="stable")]
+            while len(chosen):
+                flipped = occupied.copy()
+                flipped.reshape(-1)[chosen] ^= True
+                new_likelihood, new_gain = self._flips(cones, flipped)
+                if new_likelihood > likelihood:
+                    occupied, likelihood, gain = flipped, new_likelihood, new_gain
+                    break
+                # The better half of them; the best alone always raises it.
+                chosen = chosen[: len(chosen) // 2]
+            if not len(chosen):
+                break
+        return (self.weight * np.where(occupied, -gain, gain)).astype(np.float32)
+
+    def _flips(
+        self, cones: _Cones, occupied: Bool[ndarray, "rows cols"]
+    ) -> tuple[float, Float[ndarray, "rows cols"]]:
+        """The likelihood log p(Z | m) + log p(m) but for a constant, and what the flip of each cell would add."""
+        on = occupied.reshape(-1)[cones.cell]
+        log_miss = np.log1p(-self.p_hit)
+        struck = _running(on.astype(float), cones)
+        survival = np.exp(log_miss * (struck - on))
+        here = self.p_hit * survival * cones.density
+        so_far = _running(on * here, cones)
+        last = cones.start[1:] - 1
+        held = cones.start[1:] > cones.start[:-1]
+        of_hits = np.where(held, so_far[last], 0.0)
+        passing = np.exp(log_miss * np.where(held, struck[last], 0.0))
+        known = 1 - self.p_random
+        # A reading that ended within reach has its density, one that went beyond has the probability to pass.
+        hit_share = known * np.where(cones.echo, of_hits, 0.0)
+        total = hit_share + np.where(cones.echo, self.p_random * cones.uniform, self.p_random + known * passing)
+
+        r = cones.reading
+        behind = of_hits[r] - so_far
+        ahead = so_far - on * here
+        factor = np.where(on, np.exp(-log_miss), np.exp(log_miss))
+        hits = ahead + np.where(on, 0.0, here) + factor * behind
+        flipped = np.where(
+            cones.echo[r],
+            self.p_random * cones.uniform + known * hits,
+            self.p_random + known * factor * passing[r],
+        )
+        gain = np.bincount(cones.cell, np.log(flipped / total[r]), minlength=occupied.size).reshape(occupied.shape)
+        prior = float(logit(self.p_occupied))
+        gain = gain + np.where(occupied, -prior, prior)
+        return float(np.sum(np.log(total)) + prior * np.sum(occupied)), gain
+
+
+def _running(values: Float[ndarray, "pairs"], cones: _Cones) -> Float[ndarray, "pairs"]:
+    """Sum within each reading up to each pair, that pair with it."""
+    total = np.cumsum(values)
+    return total - np.append(0.0, total)[cones.start[cones.reading]]

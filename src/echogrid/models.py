@@ -1,0 +1,62 @@
+"""The sensor models by name: the network and the classical models are peers."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+
+from echogrid.beam import ReadingModel
+from echogrid.classical import (
+    Cone,
+    DempsterShafer,
+    Elfes,
+    Fuzzy,
+    Himm,
+    LimCho,
+    MoravecElfes,
+    Muriel,
+    Nav2,
+)
+from echogrid.em import ForwardModel
+from echogrid.errors import UsageError
+from echogrid.interpret import Interpreter, Network
+
+Model = Interpreter | ReadingModel | ForwardModel
+
+
+def _shipped() -> Network:
+    return replace(Network.load(str(resources.files("echogrid") / "weights" / "any.npz")), name="network")
+
+
+MODELS: dict[str, Callable[[], Model]] = {
+    "network": _shipped,
+    "cone": Cone,
+    "cone-no-echo": lambda: Cone(
+        reach_m=0.6, no_echo=True, p_occupied=0.755, p_free=0.421, thickness_m=0.174, name="cone-no-echo"
+    ),
+    "moravec-elfes": MoravecElfes,
+    "elfes": Elfes,
+    "nav2": Nav2,
+    "nav2-clearing": lambda: Nav2(no_echo=True, name="nav2-clearing"),
+    "himm": Himm,
+    "muriel": Muriel,
+    "dempster-shafer": DempsterShafer,
+    "fuzzy": Fuzzy,
+    "lim-cho": LimCho,
+    "em": ForwardModel,
+}
+"""Models by name; ``network`` has the weights that ship with the package."""
+
+
+def sensor_model(name_or_weights: str) -> Model:
+    """A model by name, or the network with weights from a file.
+
+    Raises:
+        InputError: the file is not a weights file.
+        UsageError: neither a name nor a file.
+    """
+    if name_or_weights in MODELS:
+        return MODELS[name_or_weights]()
+    if not Path(name_or_weights).exists():
+        raise UsageError(f"interpreter: found {name_or_weights}, expected {', '.join(MODELS)} or a weights file")
+    return Network.load(name_or_weights)
