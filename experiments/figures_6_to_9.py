@@ -4,8 +4,8 @@
 
 Plant 2 is the world `plant` with smooth walls, Plant 3 the same with rough ones; corridor 1 (one painted wall, one
 of tiles) and corridor 2 (wood) are the worlds `corridor` and `corridor-wood`. The plans of the paper are lost: these
-are our own. A B21 and a Robuter II drive through each. For figure 6 to 9 each there is a figure with both robots' maps;
-the maps of Plant 2 and 3 are also shown before and after the neighbourhood mask of the paper's earlier system, and by
+are our own. A B21 and a Robuter II drive through each; there is a figure with both robots' maps for each place. The
+maps of Plant 2 and 3 are also shown before and after the neighbourhood mask of the paper's earlier system, and by
 every classical model beside the network.
 """
 

@@ -5,7 +5,7 @@
 Rooms of smooth, rough and mixed walls and corridors of mixed walls, under three simulators: echogrid's with its
 default physics (`default`), the same with a physics drawn at random for each room (`varied`), and the separately
 written one of leonard.py (`leonard`). The robot tours each room; truth reaches 1.4 m from its path. Prints a table of
-means over the rooms. With --record also the 95 % intervals (bootstrap over the rooms) and the network against the best
+means over the rooms. With --record the 95 % intervals (bootstrap over the rooms) and the network against the best
 other model go to docs/paper/NAME.json. MODEL is a name that `echogrid map --interpreter` takes, a weights file, or
 `mrpt` or `mrpt-centred`, which are left out where benchmarks/mrpt is not built. Default: all.
 """

@@ -12,6 +12,7 @@ import argparse
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, replace
 from multiprocessing import get_context
+from typing import Any
 
 import numpy as np
 
@@ -95,7 +96,7 @@ def nll(model, some):
 def search(name, all_drives):
     """The best setting of a model and what it reached."""
     rng = np.random.default_rng([SEED, list(RANGES).index(name)])
-    now = MODELS[name]()
+    now: Any = MODELS[name]()
     settings = [{key: asdict(now)[key] for key in RANGES[name]}]
     settings += [drawn(rng, RANGES[name]) for _ in range(CANDIDATES - 1)]
     first = [nll(replace(now, **setting), all_drives[: len(KINDS)]) for setting in settings]

@@ -55,17 +55,17 @@ class ForwardModel:
     Hinton 1998). What is left between a cell's two states, all others kept, is its log-odds.
     """
 
-    reach_m: float = 2.0
+    reach_m: float = 0.8
     """Cells farther from the sonar are left out, and those beyond its maximum range."""
-    p_hit: float = 0.2
+    p_hit: float = 0.127
     """Probability that an occupied cell in the cone sends the echo, if none before it did."""
-    p_random: float = 0.1
-    sigma_m: float = 0.08
-    p_occupied: float = 0.1
+    p_random: float = 0.057
+    sigma_m: float = 0.0772
+    p_occupied: float = 0.204
     """Prior of each cell."""
-    weight: float = 0.3
+    weight: float = 0.494
     """Share of the log-odds that is believed: readings from one place repeat each other."""
-    no_echo: bool = True
+    no_echo: bool = False
     """Whether readings without echo are used."""
     name: str = "em"
 
