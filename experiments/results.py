@@ -1,14 +1,15 @@
 """docs/results.md from the measured numbers: fills experiments/results.md.in from docs/paper/*.json.
 
-python experiments/results.py
+    python experiments/results.py
 """
 
+import re
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 from held_out import PLACES, SHOWN, SIMULATORS
-from paper import save
+from paper import recorded, save
 
 TEMPLATE, OUT = Path(__file__).parent / "results.md.in", Path(__file__).parent.parent / "docs" / "results.md"
 DRAWN = ("nll", "wiped")
@@ -118,3 +119,62 @@ def tune_table(tuned):
 def speed_table(speed):
     """Scans a second."""
     return rows(["model", "scans/s"], [[f"`{model}`", f"{rate:,}"] for model, rate in speed["scans/s"].items()])
+
+
+def ablation_table(ablation):
+    """What each variant scores."""
+    kinds = list(ablation["scores"])
+    body = []
+    for variant in ablation["scores"][kinds[0]]:
+        row = [variant]
+        for kind in kinds:
+            for name in DRAWN:
+                mean, low, high = ablation["scores"][kind][variant][name]["mean"]
+                row.append(f"{mean:.3f}<br><sub>{low:.3f}-{high:.3f}</sub>")
+        body.append(row)
+    return rows(["variant", *(f"{kind}: {name}" for kind in kinds for name in DRAWN)], body)
+
+
+def value(path):
+    """A number of docs/paper by its way in: file, then keys; shares and scores with three decimals."""
+    file, *keys = path.split("/")
+    found = recorded(file)
+    for key in keys:
+        found = found[int(key)] if isinstance(found, list) else found[key]
+    return f"{found:.3f}" if isinstance(found, float) else str(found)
+
+
+def simulators(found):
+    """The tables of the simulators that are not in the main page."""
+    parts = ["# Every model under two more simulators", "", "Written by `make paper`; see [Results](../results.md)."]
+    for simulator, title in (("varied", "A physics drawn for each room"), ("leonard", "The second simulator")):
+        parts += ["", f"## {title} (`{simulator}`)"]
+        for place in PLACES:
+            parts += ["", f"### {place}", "", score_table(found["means"][simulator][place])]
+    return "\n".join(parts) + "\n"
+
+
+def main():
+    found = recorded("held_out")
+    blocks = {f"scores of {place}": score_table(found["means"]["default"][place]) for place in PLACES}
+    blocks |= {
+        "ratios": ratio_table(found),
+        "maps": maps_table(recorded("figures_6_to_9")),
+        "corridor": corridor_table(recorded("corridor8")),
+        "tuned": tune_table(recorded("tune")),
+        "ablation": ablation_table(recorded("ablation")),
+        "speed": speed_table(recorded("speed")),
+    }
+    draw_models(found["means"]["default"])
+    text = re.sub(
+        r"\$\{([^}]+)\}",
+        lambda token: blocks[token[1]] if token[1] in blocks else value(token[1]),
+        TEMPLATE.read_text(encoding="utf-8"),
+    )
+    OUT.write_text(text, encoding="utf-8")
+    (OUT.parent / "paper" / "simulators.md").write_text(simulators(found), encoding="utf-8")
+    print(f"wrote {OUT}")
+
+
+if __name__ == "__main__":
+    main()

@@ -3,9 +3,10 @@
     python experiments/tune.py [MODEL ...]
 
 For each model CANDIDATES settings are drawn at random from the ranges below (the first is the one it has now),
-scored on one drive of each kind of room, and the best FINALISTS again on all drives; the one with the lowest mean
-`nll` wins. Half of the drives have echogrid's default physics, half a physics of their own. All that a source fixes
-stays fixed. The winners are written to docs/paper/tune.json; they are the defaults in classical.py and em.py.
+scored on one drive of each kind of place, and the best FINALISTS again on all drives; the one with the lowest mean
+`nll` wins. Half of the drives are a B21's and half a P3-DX's, half have echogrid's default physics and half a physics
+of their own, and half are cut to their first third, as of a robot that passes but once. All that a source fixes stays
+fixed. The winners are written to docs/paper/tune.json; they are the defaults in classical.py, em.py and models.py.
 """
 
 import argparse
@@ -20,11 +21,11 @@ from echogrid import Robot, build_map
 from echogrid.drive import truth_of
 from echogrid.metrics import score
 from echogrid.models import MODELS
-from held_out import KINDS, frames, rooms
+from held_out import PLACES, frames, rooms
 from paper import record, recorded
 
-SEED, ROBOT, RESOLUTION = 30_000_000, "b21", 0.12
-CANDIDATES, FINALISTS, ROOMS = 48, 10, 4
+SEED, ROBOTS, RESOLUTION = 30_000_000, ("b21", "p3dx"), 0.12
+CANDIDATES, FINALISTS, ROUNDS = 48, 10, 4
 
 REACH = {"reach_m": [0.6, 0.8, 1.0, 1.3, 1.6, 2.0, 3.0]}
 COMMON = REACH | {"no_echo": [False, True]}
@@ -60,13 +61,19 @@ RANGES = {
 
 
 def drives():
-    """Frames and truths: room by room one of each kind, so that the first three are of all kinds."""
-    robot, found = Robot.load(ROBOT), []
-    for kind in KINDS:
+    """Robots, frames and truths: round by round one of each kind of place."""
+    found = []
+    for p, place in enumerate(PLACES):
         found.append([])
-        for room, (world, poses) in enumerate(rooms(kind, ROOMS, robot, SEED)):
-            simulator = ("varied", "default")[room % 2]
-            found[-1].append((frames(simulator, world, poses, robot, room, SEED), truth_of(world, poses)))
+        rooms_of = {name: rooms(place, ROUNDS, Robot.load(name), SEED) for name in ROBOTS}
+        for k in range(ROUNDS):
+            # Half of each, and as evenly mixed as four drives allow; every round has some of each.
+            robot, physics = (k + p) % 2, (k // 2 + p // 2) % 2
+            cut = (robot + physics + p) % 2
+            world, poses = next(rooms_of[ROBOTS[robot]])
+            poses = poses[: max(60, len(poses) // 3)] if cut else poses
+            log = frames(("varied", "default")[physics], world, poses, Robot.load(ROBOTS[robot]), k, SEED)
+            found[-1].append((ROBOTS[robot], log, truth_of(world, poses)))
     return [drive for several in zip(*found, strict=True) for drive in several]
 
 
@@ -85,10 +92,9 @@ def drawn(rng, ranges):
 
 def nll(model, some):
     """Mean over drives."""
-    robot = Robot.load(ROBOT)
     values = []
-    for log, truth in some:
-        *_, grid = build_map(log, robot, model, RESOLUTION)
+    for name, log, truth in some:
+        *_, grid = build_map(log, Robot.load(name), model, RESOLUTION)
         values.append(score(grid, truth).nll)
     return float(np.mean(values))
 
@@ -99,7 +105,7 @@ def search(name, all_drives):
     now: Any = MODELS[name]()
     settings = [{key: asdict(now)[key] for key in RANGES[name]}]
     settings += [drawn(rng, RANGES[name]) for _ in range(CANDIDATES - 1)]
-    first = [nll(replace(now, **setting), all_drives[: len(KINDS)]) for setting in settings]
+    first = [nll(replace(now, **setting), all_drives[: len(PLACES)]) for setting in settings]
     best = np.argsort(first, kind="stable")[:FINALISTS]
     again = [nll(replace(now, **settings[i]), all_drives) for i in best]
     winner = int(np.argmin(again))
@@ -107,8 +113,8 @@ def search(name, all_drives):
         "setting": settings[best[winner]],
         "nll": again[winner],
         "nll of the ten finalists": sorted(again),
-        "nll before, on the first three drives": first[0],
-        "nll, on the first three drives": first[best[winner]],
+        "nll before, on the first four drives": first[0],
+        "nll, on the first four drives": first[best[winner]],
     }
 
 
@@ -117,7 +123,7 @@ def main():
     parser.add_argument("models", nargs="*", default=list(RANGES))
     args = parser.parse_args()
     all_drives = drives()
-    print(f"{len(all_drives)} drives, {sum(len(log) for log, _ in all_drives)} scans", flush=True)
+    print(f"{len(all_drives)} drives, {sum(len(log) for _, log, _ in all_drives)} scans", flush=True)
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
         jobs = {name: pool.submit(search, name, all_drives) for name in args.models}
         for name, job in jobs.items():

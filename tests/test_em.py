@@ -100,7 +100,12 @@ def found(model, robot, frames):
     for index in np.argwhere(grid.observed):
         row, col = np.rint(np.array(grid.origin[::-1]) / CELL_M).astype(int) + index - LOW
         log_odds[row, col] = grid.log_odds[tuple(index)]
-    return log_odds, {(int(row + LOW[0]), int(col + LOW[1])) for row, col in np.argwhere(log_odds > 0)}
+    return log_odds, {(int(row + LOW[0]), int(col + LOW[1])) for row, col in np.argwhere(log_odds > bar(model))}
+
+
+def bar(model):
+    """Log-odds, less the prior, above which a cell is more likely occupied than free."""
+    return -model.weight * log(model.p_occupied / (1 - model.p_occupied))
 
 
 TINY = [frame(0.11, 0.07, 0.1, [0.93, inf]), frame(0.31, -0.21, 0.4, [0.71, 2.2]), frame(-0.1, 0.3, -0.2, [1.2, nan])]
@@ -178,9 +183,10 @@ def test_no_single_flip_raises_the_likelihood_of_the_map_that_is_found(seed):
     for row, col in {cell[1:] for _, cone in readings for cell in cone}:
         flipped = log_posterior(readings, occupied ^ {(row, col)}, MODEL, TWO)
         assert flipped <= here + _LEAST_GAIN + 1e-9
-        # What is shown is the difference between the cell's two states, all others as they are, and half believed.
+        # What is shown is the difference between the cell's two states, all others as they are, less the prior and
+        # half believed.
         sign = 1 if (row, col) in occupied else -1
-        assert log_odds[row - LOW[0], col - LOW[1]] == pytest.approx(0.5 * sign * (here - flipped), abs=1e-5)
+        assert log_odds[row - LOW[0], col - LOW[1]] == pytest.approx(0.5 * (sign * (here - flipped) - log(0.15 / 0.85)), abs=1e-5)
 
 
 def test_the_map_of_a_tiny_world_is_the_best_of_all():
@@ -207,7 +213,7 @@ FAR = hypot(0.75, 0.25)
 def pair(side, footprint_radius_m=0.0):
     """Two sonars of which the first, in the middle of [0, 0], has [1, 3] and [-1, 3] in its cone, both FAR away.
 
-    The second, at [2, 0] or [-2, 0], is turned to the one of them on its side, as far away, and does not see the other.
+    The second, at [2, 0] or [-2, 0], is turned to the one of them on its side, as far away, and sees that one alone.
     """
     aside = [0.125, 0.125 + 0.5 * side, atan2(-0.25 * side, 0.75)]
     width = np.deg2rad(40)
@@ -226,10 +232,11 @@ def test_an_echo_has_one_cause_for_which_cells_compete(side):
     _, gain = SHARP._flips(cones_of(SHARP, pair(side), one), as_array(()))
     assert min(gain[1 - LOW[0], 3 - LOW[1]], gain[-1 - LOW[0], 3 - LOW[1]]) > 1
     assert len(found(SHARP, pair(side), one)[1] & either) == 1
-    # The second sonar tells which of them it is, and what it says of the one is said against the other.
+    # The second sonar tells which of them it is, and of the other little is left of what the echo alone says of it.
     log_odds, occupied = found(SHARP, pair(side), both)
     assert occupied & either == {(side, 3)}
-    assert log_odds[-side - LOW[0], 3 - LOW[1]] < -0.2
+    alone = SHARP.weight * (gain[-side - LOW[0], 3 - LOW[1]] - log(0.15 / 0.85))
+    assert log_odds[-side - LOW[0], 3 - LOW[1]] < alone / 3
 
 
 def test_where_the_robot_stood_is_no_cause_of_an_echo():
@@ -255,13 +262,14 @@ def test_equally_good_causes_do_not_keep_the_search_from_ending(monkeypatch):
     monkeypatch.setattr(ForwardModel, "_flips", counted)
     for z in (0.6, 1.05, 1.45):
         (grid,) = model.maps([frame(0, 0, 0, [z])], replace(robot, max_range_m=5.0), 0.1)
-        assert 0 <= np.sum(grid.log_odds > 0) <= 1
+        assert 0 <= np.sum(grid.log_odds > bar(model)) <= 1
 
 
 def test_an_echo_from_beyond_reach_is_a_beam_that_passed():
     far, silent = (found(MODEL, TWO, [frame(0.1, 0.1, 0.3, [z, nan])])[0] for z in (1.8, inf))
     np.testing.assert_array_equal(far, silent)
-    assert np.all(far[far != 0] < 0.5 * log(0.15 / 0.85))
+    assert np.all(far <= 0)
+    assert np.any(far < 0)
 
 
 def test_missing_echoes_are_left_out_if_they_are_not_used():

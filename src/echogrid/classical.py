@@ -79,7 +79,8 @@ class MoravecElfes(_Short):
     """Moravec & Elfes 1985: how sure it is that a cell is empty and that it is occupied, kept apart.
 
     The evidence for occupied is spread over the arc so that it sums to one, after the cells that are known to be
-    empty have been taken out of it. A reading is used as it comes; the source takes all for empty first.
+    empty have been taken out of it. A reading is used as it comes; the source takes all for empty first. Cells nearer
+    than the minimum range are taken to be as empty as one at it, and the cone is as wide as the robot's beam.
     """
 
     reach_m: float = 0.6
@@ -227,7 +228,10 @@ class Nav2:
 
 @dataclass(frozen=True)
 class Himm(_Short):
-    """HIMM (Borenstein & Koren 1991): counters of 0 to 15 on the acoustic axis, up 3 at the echo, down 1 before."""
+    """HIMM (Borenstein & Koren 1991): counters of 0 to 15 on the acoustic axis, up 3 at the echo, down 1 before.
+
+    Without the source's growth operator, which raises a cell more where its neighbours are high.
+    """
 
     reach_m: float = 0.8
     no_echo: bool = False
@@ -266,8 +270,9 @@ class Muriel(_Short):
 
     An occupied cell at z gives the reading x the density a(z) N(x; z, d(z)) + F, and a reading D is the first echo:
     p(D | C) = f(D | C) (1 - integral of f up to D); p(D | not C) = F (1 - F D). A reading that has passed through
-    cells that were seen occupied at normal incidence is specular with probability P_s, and
-    its evidence becomes log(P_s + (1 - P_s) exp(evidence)).
+    cells that were seen occupied at normal incidence is specular with probability P_s, and its evidence becomes
+    log(P_s + (1 - P_s) exp(evidence)). a(z) falls off the axis as the transducer's two-way amplitude; the normal is
+    widened by the depth of a cell; P_s grows with how sure the passed cell is, and off the axis falls with it.
     """
 
     reach_m: float = 1.0
@@ -382,7 +387,7 @@ class Fuzzy(_Short):
 
     The union of m_1, m_2, ... is 1 / (1 + S^(-1/lambda)) with S the sum of (m / (1 - m))^lambda, so S is what a
     cell keeps. The safe cells E^2 (1 - O) (1 - E O) (1 - (1 - E)(1 - O)) are for planning; the map is read out as
-    (1 + O - E) / 2.
+    (1 + O - E) / 2. The angular profile is that of the robot's own transducer, within its beam.
     """
 
     reach_m: float = 1.0
@@ -440,7 +445,7 @@ class LimCho(_Short):
     The source's formulas are not public; these follow its idea. Long readings count less, by the range confidence
     exp(-R / R0). Each cell keeps the probabilities of 12 orientations; a surface sends the sound back within the half
     width of the beam of its normal, and with p_s otherwise. An echo teaches the orientation by Bayes' rule;
-    a beam that passes tells of a cell as far as its surface would have sent it back.
+    a beam that passes tells of a cell as far as its surface would have sent it back, at most 20 to 1.
     """
 
     reach_m: float = 1.0

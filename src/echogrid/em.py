@@ -52,7 +52,7 @@ class ForwardModel:
     p(z | m) = p_random / z_max + (1 - p_random) sum_k p_hit (1 - p_hit)^(k - 1) N(z; d_k, sigma), and for no echo
     p_random + (1 - p_random) (1 - p_hit)^K. Cells are flipped as long as that raises p(Z | m) p(m); the expectation
     over the causes is taken anew for each flip considered, so that each step raises the likelihood itself (Neal &
-    Hinton 1998). What is left between a cell's two states, all others kept, is its log-odds.
+    Hinton 1998). What is left between a cell's two states, all others kept, less the prior is its log-odds.
     """
 
     reach_m: float = 0.8
@@ -95,8 +95,7 @@ class ForwardModel:
         cones = self._cones(robot, poses, ranges, low, (rows, cols), resolution)
         log_odds = self._settle(cones, stood)
         told = np.bincount(cones.cell, minlength=stood.size).reshape(stood.shape) > 0
-        # Of a cell in no cone nothing is known, not even that it is as rarely occupied as the prior has it.
-        layers["log_odds"][:] = np.where(stood, min(0.0, float(logit(P_MIN))), np.where(told, log_odds, 0))
+        layers["log_odds"][:] = np.where(stood, logit(P_MIN), log_odds)
         layers["observed"][:] = told | stood
         yield grown.grid()
 
@@ -186,7 +185,9 @@ class ForwardModel:
                 chosen = chosen[: len(chosen) // 2]
             if not len(chosen):
                 break
-        return (self.weight * np.where(occupied, -gain, gain)).astype(np.float32)
+        # Less the prior, as all maps have it: a cell of which the readings say nothing is at 0.
+        evidence = np.where(occupied, -gain, gain) - logit(self.p_occupied)
+        return (self.weight * evidence).astype(np.float32)
 
     def _flips(
         self, cones: _Cones, occupied: Bool[ndarray, "rows cols"]
