@@ -136,12 +136,12 @@ def ablation_table(ablation):
 
 
 def value(path):
-    """A number of docs/paper by its way in: file, then keys; shares and scores with three decimals."""
+    """A number of docs/paper by its way in: file, then keys; three digits of a fraction."""
     file, *keys = path.split("/")
     found = recorded(file)
     for key in keys:
         found = found[int(key)] if isinstance(found, list) else found[key]
-    return f"{found:.3f}" if isinstance(found, float) else str(found)
+    return f"{found:.3g}" if isinstance(found, float) else str(found)
 
 
 def simulators(found):

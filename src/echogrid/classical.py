@@ -49,11 +49,11 @@ class _Short:
 class Cone(_Short):
     """The simple inverse model (Thrun, Burgard & Fox, Probabilistic Robotics, table 9.2)."""
 
-    reach_m: float = 1.0
+    reach_m: float = 1.3
     no_echo: bool = False
-    p_occupied: float = 0.619
-    p_free: float = 0.465
-    thickness_m: float = 0.154
+    p_occupied: float = 0.607
+    p_free: float = 0.459
+    thickness_m: float = 0.138
     """Depth of the arc that is called occupied (alpha)."""
     name: str = "cone"
 
@@ -83,9 +83,9 @@ class MoravecElfes(_Short):
     than the minimum range are taken to be as empty as one at it, and the cone is as wide as the robot's beam.
     """
 
-    reach_m: float = 0.6
+    reach_m: float = 0.8
     no_echo: bool = False
-    error_m: float = 0.104
+    error_m: float = 0.0942
     """Mean range error (epsilon)."""
     name: str = "moravec-elfes"
 
@@ -130,13 +130,13 @@ class Elfes(_Short):
     anywhere. p(r | occupied) = a N(r; z, sigma) + (1 - a Phi((r - z) / sigma)) / range, p(r | empty) = 1 / range.
     """
 
-    reach_m: float = 0.6
-    no_echo: bool = True
-    p_hit: float = 0.237
+    reach_m: float = 1.6
+    no_echo: bool = False
+    p_hit: float = 0.193
     """Probability that an occupied cell on the axis sends the echo (a)."""
-    sigma_m: float = 0.0461
+    sigma_m: float = 0.0449
     """Standard deviation of the range."""
-    sigma_rad: float = 0.0929
+    sigma_rad: float = 0.0746
     """Standard deviation of the bearing."""
     name: str = "elfes"
 
@@ -275,13 +275,13 @@ class Muriel(_Short):
     widened by the depth of a cell; P_s grows with how sure the passed cell is, and off the axis falls with it.
     """
 
-    reach_m: float = 1.0
-    no_echo: bool = False
-    strength: float = 0.757
+    reach_m: float = 1.6
+    no_echo: bool = True
+    strength: float = 0.48
     """a(z) on the axis at z = 0; it falls to 0 at 4 m."""
-    background: float = 0.345
+    background: float = 0.285
     """F: density of readings from elsewhere, 1/m."""
-    specular: float = 0.985
+    specular: float = 0.376
     """P_s of a reading that passed through a surely occupied cell."""
     name: str = "muriel"
 
@@ -390,15 +390,15 @@ class Fuzzy(_Short):
     (1 + O - E) / 2. The angular profile is that of the robot's own transducer, within its beam.
     """
 
-    reach_m: float = 1.0
+    reach_m: float = 1.3
     no_echo: bool = False
-    k_empty: float = 0.0223
-    k_occupied: float = 0.414
-    depth_m: float = 0.0898
+    k_empty: float = 0.0167
+    k_occupied: float = 0.864
+    depth_m: float = 0.157
     """Half the width of the arc (Delta)."""
-    visibility_m: float = 1.45
+    visibility_m: float = 2.57
     """Distance at which half of the evidence has faded."""
-    union: float = 0.692
+    union: float = 0.547
     """Dombi's lambda."""
     name: str = "fuzzy"
 

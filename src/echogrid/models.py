@@ -32,7 +32,7 @@ MODELS: dict[str, Callable[[], Model]] = {
     "network": _shipped,
     "cone": Cone,
     "cone-no-echo": lambda: Cone(
-        reach_m=0.6, no_echo=True, p_occupied=0.755, p_free=0.421, thickness_m=0.174, name="cone-no-echo"
+        reach_m=0.8, no_echo=True, p_occupied=0.722, p_free=0.42, thickness_m=0.148, name="cone-no-echo"
     ),
     "moravec-elfes": MoravecElfes,
     "elfes": Elfes,
