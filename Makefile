@@ -52,6 +52,7 @@ paper: $(READY)  ## the paper's figures, every model beside the network, and doc
 	$(BIN)/python experiments/corridor8_map.py
 	$(BIN)/python experiments/ablation.py
 	$(BIN)/python experiments/held_out.py --record held_out
+	$(BIN)/python experiments/held_out.py --robot p3dx --rooms 8 --record held_out_p3dx
 	$(BIN)/python benchmarks/models.py --record
 	$(BIN)/python experiments/results.py
 

@@ -1,6 +1,6 @@
 """Speed of interpretation and fusion of a long B21 log, start-up apart. Target: 20,000 scans/s on 2 cores.
 
-Both interpreters map the same frames in one run; reading the CSV log is timed beside them.
+The network and the cone map the same frames in one run; reading the CSV log is timed beside them.
 """
 
 import tempfile

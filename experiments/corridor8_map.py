@@ -11,17 +11,21 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 
 from corridor8_to_csv import frames
-from echogrid import Grid, Log, Robot, build_map
+from echogrid import Grid, Log, Robot
+from echogrid.interpret import LOCAL_CELL_M
 from echogrid.metrics import FREE_BELOW, OCCUPIED_ABOVE
-from echogrid.models import MODELS, sensor_model
-from paper import draw_grid, draw_key, record, save
+from echogrid.models import MODELS
+from held_out import PEERS, mapped
+from mrpt import available
+from paper import Panel, page, record
 
 RIGHT_M, LEFT_M = -0.925, 1.180
 X = np.arange(1.0, 9.0, 0.02)
 ROBOT = Path(__file__).parent / "corridor8.yaml"
+EVERY = [*MODELS, *(PEERS if available() else ())]
 FOLDER = Path(__file__).parents[2] / "shared" / "data" / "corridor8"
 
 
@@ -51,34 +55,16 @@ def measure(grid: Grid) -> dict[str, float]:
     }
 
 
-def draw(maps: dict[str, Grid], drive: np.ndarray, columns: int, width: float, name: str) -> None:
-    """All maps on one scale with the drive."""
-    rows = -(-len(maps) // columns)
-    figure = Figure(figsize=(width * columns + 1.6, (width * 0.69 + 0.4) * rows + 1.3), layout="constrained")
-    figure.suptitle("A recorded corridor, eight sonars; what is known of it: two walls along x = 1 .. 9 m")
-    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    used = list(axes.flat[: len(maps)])
-    for panel, (model, grid) in zip(used, maps.items(), strict=True):
-        shown = draw_grid(panel, grid, drive, line_width=1.0 if columns < 3 else 0.6)
-        for y, label in ((RIGHT_M, "walls as measured"), (LEFT_M, None)):
-            panel.plot(X[[0, -1]], [y, y], color="tab:red", lw=1.0, ls="--", label=label)
-        panel.set(xlim=(-2, 19), ylim=(-11.5, 3))
-        panel.set_title(model, fontsize="medium")
-    for panel in axes.flat[len(maps) :]:
-        panel.set_axis_off()
-    for panel in used[-columns:]:
-        panel.set_xlabel("x (m)")
-        panel.tick_params(labelbottom=True)
-    for panel in axes[:, 0]:
-        panel.set_ylabel("y (m)")
-    draw_key(figure, shown, used)
-    save(figure, name)
+def _mark(panel: Axes) -> None:
+    for y, label in ((RIGHT_M, "walls as measured"), (LEFT_M, None)):
+        panel.plot(X[[0, -1]], [y, y], color="tab:red", lw=1.0, ls="--", label=label)
+    panel.set(xlim=(-2, 19), ylim=(-11.5, 3))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=FOLDER)
-    parser.add_argument("models", nargs="*", default=list(MODELS))
+    parser.add_argument("models", nargs="*", default=EVERY)
     args = parser.parse_args()
     if not args.folder.is_dir():
         print(f"corridor8: found no folder {args.folder}, so docs/paper/corridor8.* stay as they are")
@@ -88,15 +74,17 @@ def main() -> None:
     log = Log.of(frames(args.folder, robot), str(args.folder))
     drive = np.array([frame.pose[:2] for frame in log])
     for name in args.models:
-        *_, maps[name] = build_map(log, robot, sensor_model(name))
+        maps[name] = mapped(name, list(log), robot, LOCAL_CELL_M)
     measured = {name: measure(grid) for name, grid in maps.items()}
     print("| model | " + " | ".join(next(iter(measured.values()))) + " |")
     for name, shares in measured.items():
         print(f"| {name} | " + " | ".join(f"{v:.1%}" for v in shares.values()) + " |")
-    if args.models == list(MODELS):
+    if args.models == EVERY:
         record("corridor8", {name: {k: round(v, 4) for k, v in shares.items()} for name, shares in measured.items()})
-        draw({name: maps[name] for name in ("network", "cone")}, drive, 2, 5.6, "corridor8")
-        draw(maps, drive, 4, 3.2, "models_corridor8")
+        title = "A recorded corridor, eight sonars; what is known of it: two walls along x = 1 .. 9 m"
+        panels: list[Panel] = [(name, grid, drive, None) for name, grid in maps.items()]
+        page([panel for panel in panels if panel[0] in ("network", "nav2")], 2, 5.6, 0.69, title, "corridor8", _mark)
+        page(panels, 4, 3.2, 0.69, title, "models_corridor8", _mark)
 
 
 if __name__ == "__main__":

@@ -11,14 +11,14 @@ every classical model beside the network.
 
 from dataclasses import asdict
 
-from matplotlib.figure import Figure
-
-from echogrid import Robot, World, build_map
+from echogrid import Robot, World
 from echogrid.drive import tour, truth_of
 from echogrid.metrics import score
 from echogrid.models import MODELS
 from echogrid.simulate import Simulator
-from paper import draw_grid, draw_key, record, save
+from held_out import PEERS, mapped
+from mrpt import available
+from paper import page, record
 
 SEED, RESOLUTION = 5, 0.12
 ROBOTS = {"b21": "B21", "robuter2": "Robuter II"}
@@ -38,38 +38,9 @@ def drive(place, robot_name):
     return world, robot, poses, list(Simulator(world, robot).frames(poses, SEED))
 
 
-def mapped(frames, robot, model):
-    """The finished map."""
-    *_, grid = build_map(frames, robot, model, RESOLUTION)
-    return grid
-
-
 def numbers(grid, truth):
     """Scores, rounded."""
     return {name: round(value, 4) for name, value in asdict(score(grid, truth)).items()}
-
-
-def page(panels, columns, width, title, name):
-    """Panels of (heading, grid, poses, world) of one world as a figure; ``width`` of each in inches."""
-    rows = -(-len(panels) // columns)
-    low, high = panels[0][3].bounds()
-    height = width * (high[1] - low[1] + 1.2) / (high[0] - low[0] + 1.2)
-    figure = Figure(figsize=(width * columns + 1.6, (height + 0.4) * rows + 1.3), layout="constrained")
-    figure.suptitle(title)
-    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    used = list(axes.flat[: len(panels)])
-    for panel, (heading, grid, poses, world) in zip(used, panels, strict=True):
-        shown = draw_grid(panel, grid, poses, world, 1.0 if columns < 3 else 0.6)
-        panel.set_title(heading, fontsize="medium")
-    for panel in axes.flat[len(panels) :]:
-        panel.set_axis_off()
-    for panel in used[-columns:]:
-        panel.set_xlabel("x (m)")
-        panel.tick_params(labelbottom=True)
-    for panel in axes[:, 0]:
-        panel.set_ylabel("y (m)")
-    draw_key(figure, shown, used)
-    save(figure, name)
 
 
 def main():
@@ -79,7 +50,9 @@ def main():
         panels = []
         for robot_name, label in ROBOTS.items():
             world, robot, poses, frames = drive(place, robot_name)
-            grid, truth = mapped(frames, robot, "network"), truth_of(world, poses)
+            low, high = world.bounds()
+            aspect = (high[1] - low[1] + 1.2) / (high[0] - low[0] + 1.2)
+            grid, truth = mapped("network", frames, robot, RESOLUTION), truth_of(world, poses)
             measured[f"{place} {robot_name}"] = numbers(grid, truth)
             panels.append((f"{label}, {len(frames)} scans", grid, poses, world))
             if place in ("figure_6", "figure_7"):
@@ -89,10 +62,11 @@ def main():
                     (f"{title}, as fused", grid, poses, world),
                     (f"{title}, refined", grid.refined(), poses, world),
                 ]
-                others = [(name, mapped(frames, robot, name), poses, world) for name in MODELS]
-                page(others, 4, 2.9, f"{title}: the same B21 drive, every model", f"models_{place[-1]}")
-        page(panels, 2, 4.8, f"{title}; same weights and settings throughout", place)
-    page(refinement, 2, 4.8, "The neighbourhood mask of the earlier system (B21)", "refinement")
+                names = [*MODELS, *(PEERS if available() else ())]
+                others = [(name, mapped(name, frames, robot, RESOLUTION), poses, world) for name in names]
+                page(others, 4, 2.9, aspect, f"{title}: the same B21 drive, every model", f"models_{place[-1]}")
+        page(panels, 2, 4.8, aspect, f"{title}; same weights and settings throughout", place)
+    page(refinement, 2, 4.8, 0.86, "The neighbourhood mask of the earlier system (B21)", "refinement")
     record("figures_6_to_9", measured)
 
 

@@ -1,6 +1,7 @@
 """Where the figures and numbers of docs/results.md go: one picture (PNG and SVG) or one JSON file a name."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +62,42 @@ def draw_grid(
 
 def draw_key(figure: Figure, shown: AxesImage, panels: list[Axes]) -> None:
     """What the greys and lines of ``draw_grid`` mean, for all panels."""
-    bar = figure.colorbar(shown, ax=panels, shrink=0.7, ticks=[0, 0.5, 1], aspect=30)
+    bar = figure.colorbar(shown, ax=panels, shrink=min(1.0, 4.0 / figure.get_size_inches()[1]), ticks=[0, 0.5, 1])
     bar.ax.set_yticklabels(["0 free", "0.5 unknown", "1 occupied"])
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(handles), frameon=False)
+
+
+Panel = tuple[str, Grid, np.ndarray, World | None]
+"""Heading, map, drive, and what is really there."""
+
+
+def page(
+    panels: list[Panel],
+    columns: int,
+    width: float,
+    aspect: float,
+    title: str,
+    name: str,
+    mark: Callable[[Axes], None] | None = None,
+) -> None:
+    """Maps of one place as a figure; ``width`` of each in inches, ``mark`` adds to each what is known otherwise."""
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(width * columns + 1.6, (width * aspect + 0.4) * rows + 1.3), layout="constrained")
+    figure.suptitle(title)
+    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    used = list(axes.flat[: len(panels)])
+    for panel, (heading, grid, drive, world) in zip(used, panels, strict=True):
+        shown = draw_grid(panel, grid, drive, world, 1.0 if columns < 3 else 0.6)
+        if mark:
+            mark(panel)
+        panel.set_title(heading, fontsize="medium")
+    for panel in axes.flat[len(panels) :]:
+        panel.set_axis_off()
+    for panel in used[-columns:]:
+        panel.set_xlabel("x (m)")
+        panel.tick_params(labelbottom=True)
+    for panel in axes[:, 0]:
+        panel.set_ylabel("y (m)")
+    draw_key(figure, shown, used)
+    save(figure, name)

@@ -1,6 +1,6 @@
 """docs/results.md from the measured numbers: fills experiments/results.md.in from docs/paper/*.json.
 
-    python experiments/results.py
+python experiments/results.py
 """
 
 import re
@@ -22,9 +22,9 @@ def rows(header, body):
 
 
 def score_table(means):
-    """Every model with every score, the 95 % interval below each mean; the best of each column in bold."""
+    """Every model with every score, the 95 % interval below each mean; the best of each score in bold."""
     best = {}
-    for name in SHOWN:
+    for name in SHOWN[:8]:
         values = [scores[name][0] for scores in means.values() if scores[name]]
         best[name] = (max if name in ("found", "free", "auc") else min)(values) if values else None
     body = []
@@ -35,30 +35,50 @@ def score_table(means):
                 row.append("-")
                 continue
             mean, low, high = scores[name]
-            shown = f"**{mean:.3f}**" if mean == best[name] else f"{mean:.3f}"
+            shown = f"**{mean:.3f}**" if mean == best.get(name) else f"{mean:.3f}"
             row.append(f"{shown}<br><sub>{low:.3f}-{high:.3f}</sub>")
         body.append(row)
     return rows(["model", *SHOWN], body)
 
 
+def short_table(means):
+    """The scores that decide, without intervals."""
+    names = ("found", "wiped", "free", "false", "auc", "nll", "ece", "collides", "blocked", "lost")
+    body = [
+        [f"`{model}`", *("-" if scores[name] is None else f"{scores[name][0]:.3f}" for name in names)]
+        for model, scores in means.items()
+    ]
+    return rows(["model", *names], body)
+
+
+def spread(values, digits):
+    """A value with its interval below; what a number cannot say is a dash or the sign of infinity."""
+    if values is None:
+        return "-"
+    mean, low, high = ("∞" if v is None else f"{v:.{digits}f}" for v in values)
+    return f"{mean}<br><sub>{low} to {high}</sub>"
+
+
 def ratio_table(found):
-    """The network against the best other model of each place under each simulator."""
+    """The network against the best classical model of each place under each simulator."""
     body = []
     for simulator in SIMULATORS:
         for place in PLACES:
             row = [simulator, place]
             for name in DRAWN:
                 entry = found["ratios"][simulator][place][name]
-                best, ratio = entry["best other"], entry["ratio"]
-                network, other = (found["means"][simulator][place][m][name][0] for m in ("network", best))
-                row += [f"`{best}`", f"{network:.3f} / {other:.3f}"]
-                row.append("-" if ratio is None else f"{ratio[0]:.2f}<br><sub>{ratio[1]:.2f}-{ratio[2]:.2f}</sub>")
+                best, means = entry["best classical"], found["means"][simulator][place]
+                network, other = (means[m][name][0] for m in ("network", best))
+                row += [f"`{best}`", f"{network:.3f} / {other:.3f}", spread(entry["ratio"], 2)]
+                row.append(spread(entry["difference"], 3))
             body.append(row)
-    header = ["simulator", "walls", "lowest `nll` of the others", "network / it", "ratio"]
-    return rows([*header, "fewest `wiped` of the others", "network / it", "ratio"], body)
+    header = ["simulator", "walls"]
+    for name in DRAWN:
+        header += [f"least `{name}` of the classical", "network / it", "ratio", "difference"]
+    return rows(header, body)
 
 
-def draw_models(means):
+def draw_models(means, rooms):
     """Likelihood and wiped of every model in every place, with intervals."""
     models = list(means[PLACES[0]])
     figure = Figure(figsize=(12, 8.2), layout="constrained")
@@ -80,7 +100,7 @@ def draw_models(means):
                 panel.set_xticks([0, 0.01, 0.1, 1], ["0", "0.01", "0.1", "1"])
                 panel.set_xlim(-0.001, 1.1)
         line[0].invert_yaxis()
-    figure.suptitle("Every model on the same held-out drives: means over 20 rooms and 95 % intervals")
+    figure.suptitle(f"Every model on the same held-out drives: means over {rooms} rooms and 95 % intervals")
     save(figure, "models")
 
 
@@ -157,6 +177,8 @@ def simulators(found):
 def main():
     found = recorded("held_out")
     blocks = {f"scores of {place}": score_table(found["means"]["default"][place]) for place in PLACES}
+    second = recorded("held_out_p3dx")
+    blocks |= {f"p3dx scores of {place}": short_table(second["means"]["default"][place]) for place in PLACES}
     blocks |= {
         "ratios": ratio_table(found),
         "maps": maps_table(recorded("figures_6_to_9")),
@@ -165,7 +187,7 @@ def main():
         "ablation": ablation_table(recorded("ablation")),
         "speed": speed_table(recorded("speed")),
     }
-    draw_models(found["means"]["default"])
+    draw_models(found["means"]["default"], found["rooms"])
     text = re.sub(
         r"\$\{([^}]+)\}",
         lambda token: blocks[token[1]] if token[1] in blocks else value(token[1]),

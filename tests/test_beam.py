@@ -136,6 +136,30 @@ def test_a_model_is_shown_where_in_its_square_the_sonar_is():
         np.testing.assert_allclose(centre, told[place] + 0.5, atol=1e-3)
 
 
+@dataclass(frozen=True)
+class Pointer(Probe):
+    """Marks the cell at 1.2 m, 0.1 rad to the left of the axis."""
+
+    def update(self, cells, beam):
+        there = beam.is_cell(*beam.cell_at(jnp.float32(1.2), 0.1))
+        return {**cells, "count": cells["count"] + there, "distance": jnp.full(there.shape, beam.heard())}, there
+
+
+def test_a_place_before_the_sonar_is_in_one_cell():
+    robot = robot_of([[0.21, -0.13, 0.4]])
+    for pose in ([0.33, -0.71, 2.1], [-7.77, 12.34, -3.0], [0.05, 0.05, 0.77]):
+        cells, x, y = swept(robot, Pointer(), [pose], [[1.0]])
+        sx, sy, axis = sonars_of(robot, pose)[0]
+        to = sx + 1.2 * np.cos(axis + 0.1), sy + 1.2 * np.sin(axis + 0.1)
+        there = (np.abs(x - to[0]) < CELL_M / 2) & (np.abs(y - to[1]) < CELL_M / 2)
+        np.testing.assert_array_equal(cells["count"], there)
+        assert there.sum() == 1
+        assert cells["distance"][there] == pytest.approx(1.0)
+    # Without an echo the beam was free as far as it goes.
+    cells, _, _ = swept(robot, Pointer(), [pose], [[inf]])
+    assert cells["distance"][cells["count"] > 0] == pytest.approx(5.0)
+
+
 def test_readings_are_taken_one_after_the_other_and_silent_ones_not_at_all():
     robot = robot_of([[0, 0, 0]])
     poses = [[0.0, 0.0, 0.0]] * 5

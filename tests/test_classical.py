@@ -11,17 +11,8 @@ from hypothesis import strategies as st
 from scipy.special import j1
 
 from echogrid.beam import Beam, ReadingModel
-from echogrid.classical import (
-    Cone,
-    DempsterShafer,
-    Elfes,
-    Fuzzy,
-    Himm,
-    LimCho,
-    MoravecElfes,
-    Muriel,
-    Nav2,
-)
+from echogrid.calculi import DempsterShafer, Fuzzy, Himm, MoravecElfes
+from echogrid.classical import Cone, ConeNoEcho, Elfes, LimCho, Muriel, Nav2, Nav2Clearing, Nav2Tuned
 from echogrid.em import ForwardModel
 from echogrid.log import Frame
 from echogrid.mapping import build_map
@@ -36,11 +27,12 @@ PATTERN_AT = np.maximum(np.deg2rad(np.arange(181) / 2), 1e-9)
 
 # All that a model can be set to is set here: its defaults are not what is tested.
 CONE = Cone(reach_m=2.0, no_echo=False, p_occupied=0.7, p_free=0.35, thickness_m=0.2)
-CONE_NO_ECHO = replace(CONE, no_echo=True, name="cone-no-echo")
+CONE_NO_ECHO = ConeNoEcho(reach_m=2.0, no_echo=True, p_occupied=0.7, p_free=0.35, thickness_m=0.2)
 MORAVEC_ELFES = MoravecElfes(reach_m=2.0, no_echo=False, error_m=0.15)
 ELFES = Elfes(reach_m=2.0, no_echo=False, p_hit=0.4, sigma_m=0.1, sigma_rad=0.12)
 NAV2 = Nav2(phi_m=1.2, no_echo=False)
-NAV2_CLEARING = Nav2(phi_m=1.2, no_echo=True, name="nav2-clearing")
+NAV2_CLEARING = Nav2Clearing(phi_m=1.2, no_echo=True)
+NAV2_TUNED = Nav2Tuned(phi_m=0.7, no_echo=False)
 HIMM = Himm(reach_m=2.0, no_echo=False, certain=9.0)
 MURIEL = Muriel(reach_m=2.0, no_echo=False, strength=0.6, background=0.05, specular=0.8)
 DEMPSTER_SHAFER = DempsterShafer(reach_m=2.0, no_echo=False, rho=0.2, thickness_m=0.3)
@@ -48,7 +40,7 @@ FUZZY = Fuzzy(reach_m=3.0, no_echo=False, k_empty=0.1, k_occupied=0.4, depth_m=0
 LIM_CHO = LimCho(reach_m=2.0, no_echo=False, p_occupied=0.7, thickness_m=0.2, fading_m=2.0, p_specular=0.05)
 EM = ForwardModel(reach_m=2.0, p_hit=0.2, p_random=0.1, sigma_m=0.08, p_occupied=0.1, weight=0.3, no_echo=True)
 READ_BY_READING: list[ReadingModel] = [
-    *(CONE, CONE_NO_ECHO, MORAVEC_ELFES, ELFES, NAV2, NAV2_CLEARING),
+    *(CONE, CONE_NO_ECHO, MORAVEC_ELFES, ELFES, NAV2, NAV2_CLEARING, NAV2_TUNED),
     *(HIMM, MURIEL, DEMPSTER_SHAFER, FUZZY, LIM_CHO),
 ]
 BY_READINGS = {model.name: model for model in READ_BY_READING}
@@ -248,7 +240,10 @@ def test_an_arc_that_begins_within_reach_keeps_its_weight(name):
     # Were the evidence of an arc shared by those of its cells that are within reach, a reading a little farther than
     # that would make a few cells certain.
     model = BY_READINGS[name]
-    whole, cut = (after(model, [beam(reading)])[0]["occupied"] for reading in (1.85, 2.09))
+    told = (after(model, [beam(reading)])[0] for reading in (1.85, 2.09))
+    whole, cut = (
+        model.masses(cells)[1] if isinstance(model, DempsterShafer) else cells["occupied"] for cells in told
+    )
     assert (cut > 0).sum() < (whole > 0).sum() / 2
     assert 0 < cut.max() < 1.5 * whole.max()
 
@@ -377,25 +372,40 @@ def test_himm_goes_along_the_axis_whichever_way_it_points():
         cells, (spoken,) = after(
             model, [one], {"count": np.full((SIDE, SIDE), 7.0), "told": np.zeros((SIDE, SIDE), bool)}
         )
+        x, y = np.asarray(one.at) + heard(one) / CELL_M * np.array([np.cos(one.axis), np.sin(one.axis)])
         for row, col, d, t in geometry(one):
             ahead, aside = d * np.cos(t), d * np.sin(t)
-            on = abs(aside) <= 0.05 and ahead > 0 and d <= 2.0
             step = 0
-            if on and abs(ahead - heard(one)) <= 0.05:
+            if d <= 2.0 and (row, col) == (floor(y), floor(x)):
                 step = 3
-            elif on and ahead < heard(one) - 0.05:
+            elif d <= 2.0 and abs(aside) <= 0.05 and 0 < ahead < heard(one):
                 step = -1
             assert cells["count"][row, col] == 7 + step
             assert spoken[row, col] == (step != 0)
 
 
+def test_himm_raises_the_one_cell_in_which_the_echo_lies_whichever_way_the_axis_points():
+    rng = np.random.default_rng(3)
+    nothing = {"count": np.zeros((SIDE, SIDE), np.float32), "told": np.zeros((SIDE, SIDE), bool)}
+    for _ in range(200):
+        at, axis, reading = rng.uniform(18, 23, 2), rng.uniform(-pi, pi), rng.uniform(0.3, 1.7)
+        cells, _ = after(HIMM, [beam(reading, at, axis)], nothing)
+        (raised,) = np.argwhere(cells["count"] > 0)
+        x, y = at + reading / CELL_M * np.array([np.cos(axis), np.sin(axis)])
+        # The end may be on the border of two cells but for rounding.
+        assert np.all(np.abs(raised + 0.5 - (y, x)) < 0.5 + 1e-4)
+        assert cells["count"][tuple(raised)] == 3
+
+
+def muriel_spread(z):
+    return sqrt((0.01 + 0.015 * z) ** 2 + CELL_M**2 / 12)
+
+
 def muriel_evidence(R, z, off):
     """Log of p(D | C) / p(D | not C), the reading not specular: physics.md, 5.7, the wall anywhere in its cell."""
-    spread = 0.01 + 0.015 * z
     a = 0.6 * (1 - min(1, z / 4)) * piston(off) ** 2
     F = 0.05
-    density = normal(R - z, sqrt(spread**2 + CELL_M**2 / 12))
-    p_occupied = (a * density + F) * (1 - a * cdf((R - z) / spread) - F * R)
+    p_occupied = (a * normal(R - z, muriel_spread(z)) + F) * (1 - a * cdf((R - z) / muriel_spread(z)) - F * R)
     return log(p_occupied / (F * (1 - F * R)))
 
 
@@ -412,9 +422,32 @@ def test_muriel_follows_its_formula():
     for one in GENERIC:
         got, R = evidence(MURIEL, one), heard(one)
         for row, col, z, off in geometry(one):
-            told = abs(off) <= HALF and z <= 2.0 and (R - z) / (0.01 + 0.015 * z) > -4
+            told = abs(off) <= HALF and z <= 2.0 and (R - z) / muriel_spread(z) > -4
             expected = muriel_evidence(R, z, off) if told else 0.0
             assert got[row, col] == pytest.approx(expected, abs=5e-3)
+
+
+def test_muriel_clears_a_cell_no_sooner_than_the_echo_may_have_left_it():
+    # The reading is 0.03 short of the cell at 1.5; spread sqrt(0.0325^2 + 0.1^2 / 12) = 0.043495: Phi(-0.68973) =
+    # 0.24518 of a = 0.6 * 0.625 = 0.375 lie before it. First echo 1 - 0.375 * 0.24518 / (1 - 0.05 * 1.47) = 0.90077;
+    # density 9.1722 * exp(-0.68973^2 / 2) = 7.2305, times 0.375 over 0.05, and 1, is 55.229.
+    got = evidence(MURIEL, beam(1.47))
+    assert on_axis(got, 1.5)[0] == pytest.approx(log(55.229 * 0.90077), abs=2e-3)
+
+
+@pytest.mark.parametrize("strength", [0.6, 0.9])
+@pytest.mark.parametrize("background", [0.1, 0.18, 0.285, 2.0])
+def test_muriel_keeps_to_densities_whatever_its_background(background, strength):
+    # 0.285 per m over 5 m is 1.425: more than all. 0.9 / 5 = 0.18 is the most that counts, and then
+    # 0.9 * (1 - 0.9) the most of a.
+    model = replace(MURIEL, background=background, strength=strength)
+    for reading in (0.5, 1.0, 4.8, inf):
+        cleared = evidence(model, beam(reading))
+        assert np.all(np.isfinite(cleared))
+        assert cleared.min() > log(1 - 0.9) - 1e-4
+    if background >= 0.18:
+        np.testing.assert_array_equal(cleared, evidence(replace(model, background=0.18), beam(inf)))
+        assert cleared[20, 1] == pytest.approx(log(1 - 0.09 / 0.1), abs=1e-3)
 
 
 def test_muriel_takes_one_reading_from_one_place():
@@ -482,19 +515,19 @@ def test_dempsters_rule_by_hand():
     # Two readings that pass: 0.2 and 0.2 make 1 - 0.8 * 0.8 = 0.36 for empty. The read-out is m(occupied) +
     # m(either) / 2 = 0.64 / 2.
     cells, _ = after(model, [beam(1.9, half=AXIS_ONLY)] * 2)
-    assert cells["empty"][20, 15] == pytest.approx(0.36, abs=1e-6)
+    assert model.masses(cells)[0][20, 15] == pytest.approx(0.36, abs=1e-6)
     assert model.log_odds(cells)[20, 15] == pytest.approx(logit(0.32), abs=1e-4)
     # Then an arc of three cells, 1/3 each: K = 1 - 0.36 / 3 = 0.88; empty 0.36 * (2/3) / 0.88 = 0.27273, occupied
     # 0.64 * (1/3) / 0.88 = 0.24242.
     cells, _ = after(model, [beam(1.52, half=AXIS_ONLY)], cells)
-    assert cells["empty"][20, 15] == pytest.approx(0.27273, abs=1e-5)
-    assert cells["occupied"][20, 15] == pytest.approx(0.24242, abs=1e-5)
+    empty, occupied = model.masses(cells)
+    assert empty[20, 15] == pytest.approx(0.27273, abs=1e-5)
+    assert occupied[20, 15] == pytest.approx(0.24242, abs=1e-5)
+    assert model.log_odds(cells)[20, 15] == pytest.approx(logit(0.48485), abs=1e-4)
     # Blank cells take the mass of the arc as it is; those behind it stay.
-    cells, _ = after(model, [beam(1.52, half=AXIS_ONLY)])
-    np.testing.assert_allclose(
-        on_axis(cells["occupied"], 1.3, 1.4, 1.5, 1.6, 1.7), [0, 1 / 3, 1 / 3, 1 / 3, 0], atol=1e-6
-    )
-    np.testing.assert_allclose(on_axis(cells["empty"], 0.1, 1.3, 1.4, 1.7), [0.2, 0.2, 0, 0], atol=1e-6)
+    empty, occupied = model.masses(after(model, [beam(1.52, half=AXIS_ONLY)])[0])
+    np.testing.assert_allclose(on_axis(occupied, 1.3, 1.4, 1.5, 1.6, 1.7), [0, 1 / 3, 1 / 3, 1 / 3, 0], atol=1e-6)
+    np.testing.assert_allclose(on_axis(empty, 0.1, 1.3, 1.4, 1.7), [0.2, 0.2, 0, 0], atol=1e-6)
 
 
 def test_dempsters_rule_of_all_readings():
@@ -515,16 +548,30 @@ def test_dempsters_rule_of_all_readings():
                     both = "".join(sorted(set(a) & set(b)))
                     mass[both] = mass.get(both, 0.0) + p * q
             masses[row, col] = tuple(mass.get(one_set, 0.0) / (1 - mass.get("", 0.0)) for one_set in ("E", "F"))
-    cells, _ = after(model, GENERIC)
+    got = model.masses(after(model, GENERIC)[0])
     for index in np.ndindex(SIDE, SIDE):
-        empty, occupied = masses.get(index, (0.0, 0.0))
-        assert cells["empty"][index] == pytest.approx(empty, abs=1e-5)
-        assert cells["occupied"][index] == pytest.approx(occupied, abs=1e-5)
+        for layer, mass in zip(got, masses.get(index, (0.0, 0.0)), strict=True):
+            assert layer[index] == pytest.approx(mass, abs=1e-5)
+
+
+def test_dempsters_rule_holds_its_digits_however_often_it_is_told():
+    model = DEMPSTER_SHAFER
+    # 200 looks through the cell leave q(occupied) = 0.8^200 = 4e-20, 150 arcs of three cells q(empty) = (2/3)^150.
+    free, arc = beam(1.9, half=AXIS_ONLY), beam(1.52, half=AXIS_ONLY)
+    orders = [free] * 200 + [arc] * 150, [arc] * 150 + [free] * 200, [free] * 50 + [free, arc] * 150
+    q_empty, q_occupied = (2 / 3) ** 150, 0.8**200
+    either = q_empty * q_occupied
+    expected = log((q_occupied - either / 2) / (q_empty - either / 2))
+    for beams in orders:
+        assert evidence(model, *beams)[20, 15] == pytest.approx(expected, abs=2e-3)
+    # So sure of one that what is left for the other is not a number of 32 bits.
+    assert evidence(model, *[free] * 200)[20, 15] == pytest.approx(200 * log(0.8) - log(2), abs=1e-3)
+    assert evidence(model, *[arc] * 150)[20, 15] == pytest.approx(150 * log(1.5) + log(2), abs=1e-3)
 
 
 def test_an_arc_of_a_single_cell_is_not_certain():
-    cells, _ = after(DempsterShafer(2.0, False, rho=0.2, thickness_m=0.05), [beam(1.5, half=AXIS_ONLY)])
-    assert cells["occupied"][20, 15] == pytest.approx(0.5)
+    model = DempsterShafer(2.0, False, rho=0.2, thickness_m=0.05)
+    assert model.masses(after(model, [beam(1.5, half=AXIS_ONLY)])[0])[1][20, 15] == pytest.approx(0.5)
 
 
 def dombi(*memberships):
@@ -670,12 +717,16 @@ def test_a_reading_leaves_the_cells_outside_its_cone_alone(name, seed):
     cone = np.abs(off) <= HALF + 1e-4
     if model is HIMM:
         cone = (aside <= CELL_M / 2 + 1e-4) & (ahead > 0)
+        cone |= np.hypot(ahead - heard(one), aside) < CELL_M * 0.71
     elif name.startswith("nav2"):
         # Also the cell in which the axis ends, if its centre is beside a narrow cone.
         cone |= np.hypot(ahead - heard(one), aside) < CELL_M * 0.71
         if not np.isfinite(one.reading):
             return
-    far = min({FUZZY: 3.0, NAV2: inf, NAV2_CLEARING: inf}.get(model, 2.0), max(heard(one) + 0.31, 1.11 * heard(one)))
+    far = min(
+        {FUZZY: 3.0, NAV2: inf, NAV2_CLEARING: inf, NAV2_TUNED: inf}.get(model, 2.0),
+        max(heard(one) + 0.31, 1.11 * heard(one)),
+    )
     assert not np.any(spoken & ~(cone & (distance < far + 1e-3)))
     assert spoken.any() or distance[cone].min() > far
 
@@ -688,12 +739,14 @@ def test_what_a_cell_keeps_stays_within_its_bounds(name, seed):
     cells, _ = after(model, random_beams(seed, 12, model))
     for layer in cells.values():
         assert np.all(np.isfinite(layer))
-    if name in ("moravec-elfes", "dempster-shafer"):
+    if name == "moravec-elfes":
         for layer in ("empty", "occupied"):
             assert cells[layer].min() >= 0
             assert cells[layer].max() <= 1
-    if name == "dempster-shafer":
-        assert np.max(cells["empty"] + cells["occupied"]) <= 1 + 1e-6
+    if isinstance(model, DempsterShafer):
+        empty, occupied = model.masses(cells)
+        assert min(empty.min(), occupied.min()) >= 0
+        assert np.max(empty + occupied) <= 1 + 1e-6
     if name == "himm":
         assert set(np.unique(cells["count"])) <= set(range(16))
     if name.startswith("nav2"):

@@ -3,6 +3,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import IO
 
@@ -11,11 +12,16 @@ import pytest
 import yaml
 
 from echogrid import __version__
+from echogrid.classical import Cone
 from echogrid.cli import COMMANDS, main
+from echogrid.em import ForwardModel
+from echogrid.interpret import Network
 from echogrid.log import Frame
 from echogrid.mapfile import read_truth
+from echogrid.models import MODELS, sensor_model
 from echogrid.readers import load_log
 from echogrid.robot import Robot, robot_yaml
+from echogrid.world import world_names
 
 SOURCE = Path(__file__).parents[1] / "src"
 DATA = SOURCE / "echogrid" / "data"
@@ -191,6 +197,24 @@ def test_run_yaml_is_enough_to_repeat_the_run(run, sample, tmp_path):
     assert run("map", settings["log"], "--robot", robot, "--out", tmp_path / "again", *again)[0] == 0
     for name in ("map.npz", "map.pgm", "map.yaml"):
         assert (tmp_path / "again" / name).read_bytes() == (sample / name).read_bytes()
+
+
+def test_run_yaml_holds_how_the_weights_were_trained(sample):
+    settings = yaml.safe_load((sample / "run.yaml").read_text())
+    network = sensor_model("network")
+    assert isinstance(network, Network)
+    assert settings["weights"] == network.recipe
+    assert "parameters" not in settings
+
+
+@pytest.mark.parametrize(("name", "kind"), [("cone", Cone), ("em", ForwardModel)])
+def test_run_yaml_holds_every_number_of_a_model(run, tmp_path, name, kind):
+    log = write_csv_log(tmp_path / "some.csv", some_frames(4))
+    assert run("map", log, "--robot", "b21", "--interpreter", name, "--out", tmp_path / "out")[0] == 0
+    settings = yaml.safe_load((tmp_path / "out" / "run.yaml").read_text())
+    assert settings["parameters"].keys() == {item.name for item in fields(kind)}
+    assert kind(**settings["parameters"]) == sensor_model(name)
+    assert "weights" not in settings
 
 
 def test_a_robot_that_nobody_named_is_said(run, tmp_path):
@@ -760,6 +784,17 @@ def test_every_command_has_a_help(run, command):
 def test_help_names_every_command_and_version_the_version(run):
     assert all(f"• {command}" in run("--help")[1] for command in COMMANDS)
     assert run("--version") == (0, f"echogrid {__version__}\n", "")
+
+
+def words(text: str) -> set[str]:
+    """The names in a help, which may be broken over lines within a frame."""
+    return set(re.findall(r"[\w-]+", re.sub(r"[\s│]", "", text)))
+
+
+def test_help_names_every_model_and_world(run):
+    assert set(MODELS) <= words(run("map", "--help")[1])
+    for command in ("simulate", "scan"):
+        assert set(world_names()) <= words(run(command, "--help")[1])
 
 
 def test_help_and_info_do_not_pay_for_jax():

@@ -186,7 +186,9 @@ def test_no_single_flip_raises_the_likelihood_of_the_map_that_is_found(seed):
         # What is shown is the difference between the cell's two states, all others as they are, less the prior and
         # half believed.
         sign = 1 if (row, col) in occupied else -1
-        assert log_odds[row - LOW[0], col - LOW[1]] == pytest.approx(0.5 * (sign * (here - flipped) - log(0.15 / 0.85)), abs=1e-5)
+        assert log_odds[row - LOW[0], col - LOW[1]] == pytest.approx(
+            0.5 * (sign * (here - flipped) - log(0.15 / 0.85)), abs=1e-5
+        )
 
 
 def test_the_map_of_a_tiny_world_is_the_best_of_all():
@@ -290,14 +292,16 @@ def test_no_cell_beyond_the_maximum_range_is_told_of():
     np.testing.assert_array_equal(grid.log_odds[~grid.observed], 0)
 
 
-def test_more_readings_than_fit_in_a_chunk_are_each_laid_out():
+def test_more_readings_than_fit_in_a_chunk_are_each_laid_out(monkeypatch):
+    monkeypatch.setattr("echogrid.em._CHUNK", 20_000)
     # The same frame again and again: each time adds the same to the likelihood of every map.
     one, many = (cones_of(MODEL, TWO, TINY[:1] * n) for n in (1, 300))
     occupied = as_array({(0, 3), (1, 1)})
     prior = 2 * log(0.15 / 0.85)
     likelihood = [MODEL._flips(cones, occupied)[0] - prior for cones in (one, many)]
     assert likelihood[1] == pytest.approx(300 * likelihood[0], rel=1e-9)
-    assert len(many.echo) == 600 > 512
+    # A square of 15 x 15 cells holds a cone: 88 of them are laid out together.
+    assert len(many.echo) == 600 > 20_000 / 15**2
 
 
 def test_a_log_without_frames_or_readings():
@@ -307,8 +311,34 @@ def test_a_log_without_frames_or_readings():
     np.testing.assert_allclose(grid.probability()[grid.observed], 0.02, atol=1e-3)
 
 
-def test_a_log_that_would_not_fit_into_memory_is_refused_in_one_line(monkeypatch):
-    monkeypatch.setattr("echogrid.em.MAX_READINGS", 5)
-    with pytest.raises(UsageError, match=r"^map: found more than 5 readings, expected fewer for em, which keeps"):
+def test_readings_that_tell_of_no_cell():
+    # A cone of 1 degree to 0.2 m passes between the centres of cells of 0.25 m.
+    narrow = sonars_at((0.05, 0.02, 0.0), beam_width_deg=1)
+    for z in (0.2, inf):
+        (grid,) = build_map([frame(0, 0, 0, [z])], narrow, replace(MODEL, reach_m=0.2), CELL_M)
+        assert not grid.observed.any()
+    # Some readings have cells, and some have none, also the last.
+    (grid,) = build_map([frame(0, 0, 0, [z]) for z in (0.05, 1.2, 0.05)], narrow, MODEL, CELL_M)
+    (alone,) = build_map([frame(0, 0, 0, [1.2])], narrow, MODEL, CELL_M)
+    np.testing.assert_array_equal(grid.log_odds, alone.log_odds)
+
+
+@pytest.mark.parametrize("chunk", [500_000, 1])
+def test_a_log_that_would_not_fit_into_memory_is_refused_in_one_line(monkeypatch, chunk):
+    monkeypatch.setattr("echogrid.em._CHUNK", chunk)
+    pairs = len(cones_of(MODEL, TWO, TINY).cell)
+    monkeypatch.setattr("echogrid.em.MAX_PAIRS", pairs)
+    assert len(list(build_map(TINY, TWO, MODEL, CELL_M))) == 1
+    monkeypatch.setattr("echogrid.em.MAX_PAIRS", pairs - 1)
+    with pytest.raises(
+        UsageError, match=rf"^map: found more than {pairs - 1} pairs of .* cell in its cone, expected"
+    ) as e:
         list(build_map(TINY, TWO, MODEL, CELL_M))
-    assert len(list(build_map(TINY[:2], TWO, MODEL, CELL_M))) == 1
+    assert "\n" not in str(e.value)
+
+
+def test_finer_cells_take_more_memory(monkeypatch):
+    monkeypatch.setattr("echogrid.em.MAX_PAIRS", 500)
+    assert len(list(build_map(TINY, TWO, MODEL, CELL_M))) == 1
+    with pytest.raises(UsageError, match=r"^map: found more than 500 pairs"):
+        list(build_map(TINY, TWO, MODEL, CELL_M / 5))

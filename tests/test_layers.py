@@ -13,7 +13,8 @@ PACKAGE = Path(echogrid.__file__).parent
 ORDER = [
     *("errors", "geometry", "regions", "files", "robot", "world", "acoustics", "rooms", "log"),
     *("readers.lines", "readers.csv_log", "readers.carmen", "readers"),
-    *("grid", "metrics", "drive", "echo", "simulate", "interpret", "beam", "classical", "em", "models", "mapping"),
+    *("grid", "metrics", "drive", "echo", "simulate", "interpret", "beam"),
+    *("classical", "calculi", "em", "models", "mapping"),
     *("examples", "train"),
     *("picture", "mapfile", "cli"),
 ]

@@ -1,9 +1,10 @@
 import json
+from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
 
 import pytest
 
-from echogrid.classical import Cone, Nav2
+from echogrid.classical import Cone, Nav2, Nav2Clearing
 from echogrid.errors import UsageError
 from echogrid.interpret import Network
 from echogrid.models import MODELS, sensor_model
@@ -32,8 +33,24 @@ def test_the_defaults_are_what_the_recorded_search_chose(name):
 def test_nav2_is_as_shipped():
     assert (sensor_model("nav2"), sensor_model("nav2-clearing")) == (
         Nav2(phi_m=1.2, no_echo=False),
-        Nav2(phi_m=1.2, no_echo=True, name="nav2-clearing"),
+        Nav2Clearing(phi_m=1.2, no_echo=True, name="nav2-clearing"),
     )
+
+
+def test_nav2_tuned_is_nav2_but_for_the_number_of_the_search():
+    tuned, shipped = sensor_model("nav2-tuned"), sensor_model("nav2")
+    assert isinstance(tuned, Nav2)
+    assert isinstance(shipped, Nav2)
+    assert asdict(tuned) == asdict(shipped) | {"name": "nav2-tuned", "phi_m": tuned.phi_m}
+    assert tuned.phi_m < shipped.phi_m
+
+
+@pytest.mark.parametrize("name", [name for name in MODELS if name != "network"])
+def test_a_model_is_a_class_whose_defaults_are_plain_numbers(name):
+    model = MODELS[name]
+    assert isinstance(model, type)
+    assert is_dataclass(model)
+    assert all(type(field.default) in (bool, float, str) for field in fields(model))
 
 
 def test_weights_go_by_their_file(tmp_path):

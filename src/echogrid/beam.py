@@ -57,6 +57,21 @@ class Beam(NamedTuple):
     nearest: Bool[Array, "side side"]
     """Whether no sonar beside this one has its axis nearer to the cell."""
 
+    def heard(self) -> Scalar:
+        """How far the beam was free, m: the reading, or the maximum range without an echo."""
+        return jnp.where(jnp.isfinite(self.reading), self.reading, self.max_range)
+
+    def cell_at(self, distance: Scalar, turn: Scalar | float = 0.0) -> tuple[Scalar, Scalar]:
+        """Row and column of the cell at a distance (m) from the sonar, so far (rad) off the axis."""
+        to = self.axis + turn
+        place = jnp.floor(self.at + distance / self.cell * jnp.stack([jnp.cos(to), jnp.sin(to)]))
+        return place[1], place[0]
+
+    def is_cell(self, row: Scalar, col: Scalar) -> Bool[Array, "side side"]:
+        """The cell of that row and column alone."""
+        rows, cols = jnp.indices(self.distance.shape)
+        return (rows == row) & (cols == col)
+
     def inside(self, reach: float) -> Bool[Array, "side side"]:
         """Cells in the cone no farther than ``reach`` (m), nor than the maximum range."""
         near = self.distance <= jnp.minimum(reach, self.max_range)

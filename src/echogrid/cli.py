@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal, NoReturn
@@ -26,8 +26,11 @@ from echogrid.files import made, replacing, unwritable
 from echogrid.log import Frame, Log, describe
 from echogrid.readers import load_log
 from echogrid.robot import TRANSDUCERS, Robot, preset_names, robot_yaml
+from echogrid.world import World, world_names
 
 EXIT_ERROR = 2
+
+_WORLD = arg(metavar="WORLD", help=f"World file, or a shipped one: {', '.join(world_names())}.")
 
 
 class _Path:
@@ -70,12 +73,13 @@ class Map:
     """Side of a cell of the map, m."""
     interpreter: str = "network"
     """network (with the weights that ship), a weights file, or a classical model: cone, cone-no-echo, moravec-elfes,
-    elfes, nav2, nav2-clearing, himm, muriel, dempster-shafer, fuzzy, lim-cho, em."""
+    elfes, nav2, nav2-clearing, nav2-tuned, himm, muriel, dempster-shafer, fuzzy, lim-cho, em."""
     refine: bool = False
     """Clean the finished map with a 3x3 neighbourhood mask."""
 
     def run(self) -> None:
         """Map the log and write the folder."""
+        from echogrid.interpret import Network
         from echogrid.mapfile import write_map
         from echogrid.mapping import build_map
         from echogrid.models import sensor_model
@@ -103,8 +107,10 @@ class Map:
             if self.refine:
                 grid = grid.refined()
             settings = asdict(self) | {"log": log.name, "robot": robot_yaml(robot), "frames": count}
-            recipe = getattr(model, "recipe", None)
-            settings |= {"weights": recipe} if recipe else {}
+            if isinstance(model, Network):
+                settings |= {"weights": model.recipe}
+            elif is_dataclass(model) and not isinstance(model, type):
+                settings |= {"parameters": asdict(model)}
             title = f"{Path(log.name).name}, {robot.name}, {model.name}"
             write_map(self.out, grid, path.points(), settings, title)
         if not named:
@@ -121,8 +127,7 @@ class Simulate:
     The truth (LOG with the ending .truth.npz) holds what the drive could see up to 1.4 m from its path.
     """
 
-    world: Annotated[Positional[str], arg(metavar="WORLD")]
-    """World file, or a shipped one: sample, corridor, lab."""
+    world: Annotated[Positional[str], _WORLD]
     robot: Annotated[str, arg(metavar="NAME|FILE")]
     """Preset or robot file."""
     out: Path
@@ -141,7 +146,6 @@ class Simulate:
         from echogrid.mapfile import write_truth
         from echogrid.readers.csv_log import write_csv
         from echogrid.simulate import Simulator
-        from echogrid.world import World
 
         _check(self.physics)
         _check_seed(self.seed)
@@ -168,8 +172,7 @@ class Scan:
     Writes scan.csv and scan.png: the ranges, and the scan over the plan of the world.
     """
 
-    world: Annotated[Positional[str], arg(metavar="WORLD")]
-    """World file, or a shipped one."""
+    world: Annotated[Positional[str], _WORLD]
     at: Annotated[str, arg(metavar="X,Y")]
     """Where: X,Y in m."""
     out: Path = Path("out")
@@ -186,7 +189,6 @@ class Scan:
         """Write the scan."""
         from echogrid.picture import write_scan
         from echogrid.simulate import rotary_scan
-        from echogrid.world import World
 
         _check(self.physics)
         world = World.load(self.world).with_walls(self.walls)

@@ -19,11 +19,11 @@ from echogrid.grid import P_MIN, Grid, GrowingGrid, covered, logit
 from echogrid.log import Frame
 from echogrid.robot import Robot
 
-MAX_READINGS = 250_000
-"""The whole log is held in memory with the cells that each reading may tell of: about 2 GB at this many."""
+MAX_PAIRS = 20_000_000
+"""Pairs of a reading and a cell in its cone, all held in memory at once: 115 bytes each, 2.3 GB at this many."""
 
-_CHUNK = 512
-"""Readings whose cones are laid out together."""
+_CHUNK = 500_000
+"""Cells of the squares round the cones that are laid out together."""
 
 _MOST_ROUNDS, _LEAST_GAIN, _APART = 200, 1e-6, 5
 """Rounds of flips at most; the least gain of a flip; cells within which one flip is made at a time."""
@@ -53,6 +53,7 @@ class ForwardModel:
     p_random + (1 - p_random) (1 - p_hit)^K. Cells are flipped as long as that raises p(Z | m) p(m); the expectation
     over the causes is taken anew for each flip considered, so that each step raises the likelihood itself (Neal &
     Hinton 1998). What is left between a cell's two states, all others kept, less the prior is its log-odds.
+    Formulas from memory of the literature.
     """
 
     reach_m: float = 0.8
@@ -80,7 +81,7 @@ class ForwardModel:
         Raises:
             UsageError: the log or the map is too large.
         """
-        kept = list(self._kept(frames, robot))
+        kept = [(frame.pose, frame.ranges) for frame in frames]
         if not kept:
             return
         poses, ranges = (np.array(column, dtype=float) for column in zip(*kept, strict=True))
@@ -99,15 +100,6 @@ class ForwardModel:
         layers["observed"][:] = told | stood
         yield grown.grid()
 
-    def _kept(self, frames: Iterable[Frame], robot: Robot) -> Iterator[tuple[ndarray, ndarray]]:
-        for count, frame in enumerate(frames, start=1):
-            if count * robot.sonars > MAX_READINGS:
-                raise UsageError(
-                    f"map: found more than {MAX_READINGS} readings, expected fewer for {self.name}, which keeps the "
-                    "whole log in memory"
-                )
-            yield frame.pose, frame.ranges
-
     def _cones(
         self,
         robot: Robot,
@@ -121,12 +113,19 @@ class ForwardModel:
         z = ranges.reshape(-1)
         used = np.isfinite(z) | (np.isinf(z) & self.no_echo)
         sonars, z = sonars[used], z[used]
-        parts = [
-            self._pairs(robot, sonars[first : first + _CHUNK], z[first : first + _CHUNK], low, shape[1], resolution)
-            for first in range(0, max(len(z), 1), _CHUNK)
-        ]
+        chunk = max(_CHUNK // len(self._square(robot, resolution)[0]), 1)
+        parts, pairs = [], 0
+        for first in range(0, max(len(z), 1), chunk):
+            some = slice(first, first + chunk)
+            cell, reading, density = self._pairs(robot, sonars[some], z[some], low, shape[1], resolution)
+            parts.append((cell, reading + first, density))
+            pairs += len(cell)
+            if pairs > MAX_PAIRS:
+                raise UsageError(
+                    f"map: found more than {MAX_PAIRS} pairs of a reading and a cell in its cone, expected fewer for "
+                    f"{self.name}, which keeps the whole log in memory (use larger cells or a shorter log)"
+                )
         cell, reading, density = (np.concatenate(column) for column in zip(*parts, strict=True))
-        reading += np.repeat(np.arange(len(parts)) * _CHUNK, [len(part[0]) for part in parts])
         start = np.searchsorted(reading, np.arange(len(z) + 1))
         return _Cones(cell, reading, density, start, z <= self._reach(robot), 1 / robot.max_range_m)
 
@@ -141,9 +140,7 @@ class ForwardModel:
     ) -> tuple[Int[ndarray, "pairs"], Int[ndarray, "pairs"], Float[ndarray, "pairs"]]:
         """Cell, reading and density of each pair, see ``_Cones``."""
         reach = self._reach(robot)
-        span = int(np.ceil(reach / resolution)) + 1
-        steps = np.arange(-span, span + 1)
-        row, col = (v.ravel() for v in np.meshgrid(steps, steps, indexing="ij"))
+        row, col = self._square(robot, resolution)
         home = np.floor(sonars[:, :2] / resolution).astype(np.int64)
         x = (home[:, :1] + col + 0.5) * resolution - sonars[:, :1]
         y = (home[:, 1:] + row + 0.5) * resolution - sonars[:, 1:2]
@@ -158,6 +155,13 @@ class ForwardModel:
         off = (z[reading] - distance[reading, k]) / self.sigma_m
         density = np.exp(-(off**2) / 2) / (self.sigma_m * np.sqrt(2 * np.pi))
         return cell, reading, np.where(z[reading] <= reach, density, 0.0)
+
+    def _square(self, robot: Robot, resolution: float) -> tuple[Int[ndarray, "cells"], Int[ndarray, "cells"]]:
+        """Steps in rows and columns to the cells that may be in reach."""
+        span = int(np.ceil(self._reach(robot) / resolution)) + 1
+        steps = np.arange(-span, span + 1)
+        row, col = np.meshgrid(steps, steps, indexing="ij")
+        return row.ravel(), col.ravel()
 
     def _reach(self, robot: Robot) -> float:
         return min(self.reach_m, robot.max_range_m)
@@ -199,10 +203,8 @@ class ForwardModel:
         survival = np.exp(log_miss * (struck - on))
         here = self.p_hit * survival * cones.density
         so_far = _running(on * here, cones)
-        last = cones.start[1:] - 1
-        held = cones.start[1:] > cones.start[:-1]
-        of_hits = np.where(held, so_far[last], 0.0)
-        passing = np.exp(log_miss * np.where(held, struck[last], 0.0))
+        of_hits = _whole(so_far, cones)
+        passing = np.exp(log_miss * _whole(struck, cones))
         known = 1 - self.p_random
         # A reading that ended within reach has its density, one that went beyond has the probability to pass.
         hit_share = known * np.where(cones.echo, of_hits, 0.0)
@@ -228,3 +230,11 @@ def _running(values: Float[ndarray, "pairs"], cones: _Cones) -> Float[ndarray, "
     """Sum within each reading up to each pair, that pair with it."""
     total = np.cumsum(values)
     return total - np.append(0.0, total)[cones.start[cones.reading]]
+
+
+def _whole(running: Float[ndarray, "pairs"], cones: _Cones) -> Float[ndarray, "readings"]:
+    """The running sum at the last pair of each reading, 0 for a reading without pairs."""
+    held = cones.start[1:] > cones.start[:-1]
+    whole = np.zeros(len(held))
+    whole[held] = running[cones.start[1:][held] - 1]
+    return whole

@@ -6,17 +6,8 @@ from importlib import resources
 from pathlib import Path
 
 from echogrid.beam import ReadingModel
-from echogrid.classical import (
-    Cone,
-    DempsterShafer,
-    Elfes,
-    Fuzzy,
-    Himm,
-    LimCho,
-    MoravecElfes,
-    Muriel,
-    Nav2,
-)
+from echogrid.calculi import DempsterShafer, Fuzzy, Himm, MoravecElfes
+from echogrid.classical import Cone, ConeNoEcho, Elfes, LimCho, Muriel, Nav2, Nav2Clearing, Nav2Tuned
 from echogrid.em import ForwardModel
 from echogrid.errors import UsageError
 from echogrid.interpret import Interpreter, Network
@@ -31,13 +22,12 @@ def _shipped() -> Network:
 MODELS: dict[str, Callable[[], Model]] = {
     "network": _shipped,
     "cone": Cone,
-    "cone-no-echo": lambda: Cone(
-        reach_m=0.8, no_echo=True, p_occupied=0.722, p_free=0.42, thickness_m=0.148, name="cone-no-echo"
-    ),
+    "cone-no-echo": ConeNoEcho,
     "moravec-elfes": MoravecElfes,
     "elfes": Elfes,
     "nav2": Nav2,
-    "nav2-clearing": lambda: Nav2(no_echo=True, name="nav2-clearing"),
+    "nav2-clearing": Nav2Clearing,
+    "nav2-tuned": Nav2Tuned,
     "himm": Himm,
     "muriel": Muriel,
     "dempster-shafer": DempsterShafer,
