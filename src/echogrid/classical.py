@@ -56,11 +56,11 @@ class SumOfLogOdds(ShortReach):
 class Cone(SumOfLogOdds):
     """The simple inverse model (Thrun, Burgard & Fox, Probabilistic Robotics, table 9.2)."""
 
-    reach_m: float = 1.3
+    reach_m: float = 1.6
     no_echo: bool = False
-    p_occupied: float = 0.607
-    p_free: float = 0.459
-    thickness_m: float = 0.138
+    p_occupied: float = 0.582
+    p_free: float = 0.439
+    thickness_m: float = 0.226
     """Depth of the arc that is called occupied (alpha)."""
     name: str = "cone"
 
@@ -95,13 +95,13 @@ class Elfes(SumOfLogOdds):
     Formulas from memory of the literature.
     """
 
-    reach_m: float = 1.6
-    no_echo: bool = False
-    p_hit: float = 0.193
+    reach_m: float = 0.8
+    no_echo: bool = True
+    p_hit: float = 0.102
     """Probability that an occupied cell on the axis sends the echo (a)."""
-    sigma_m: float = 0.0449
+    sigma_m: float = 0.0485
     """Standard deviation of the range."""
-    sigma_rad: float = 0.0746
+    sigma_rad: float = 0.22
     """Standard deviation of the bearing."""
     name: str = "elfes"
 
@@ -192,7 +192,7 @@ class Nav2Clearing(Nav2):
 class Nav2Tuned(Nav2):
     """The same, with the one number of its sensor model from the search."""
 
-    phi_m: float = 0.525
+    phi_m: float = 0.605
     name: str = "nav2-tuned"
 
 
@@ -211,13 +211,13 @@ class Muriel(SumOfLogOdds):
     P_s) is from memory of the literature.
     """
 
-    reach_m: float = 1.6
-    no_echo: bool = True
-    strength: float = 0.48
+    reach_m: float = 1.0
+    no_echo: bool = False
+    strength: float = 0.757
     """a(z) on the axis at z = 0; it falls to 0 at 4 m."""
-    background: float = 0.05
+    background: float = 0.11
     """F: density of readings from elsewhere, 1/m; at most 0.9 over the maximum range counts."""
-    specular: float = 0.376
+    specular: float = 0.985
     """P_s of a reading that passed through a surely occupied cell."""
     name: str = "muriel"
 
@@ -283,14 +283,14 @@ class LimCho(SumOfLogOdds):
     a beam that passes tells of a cell as far as its surface would have sent it back, at most 20 to 1.
     """
 
-    reach_m: float = 1.0
-    no_echo: bool = True
-    p_occupied: float = 0.812
+    reach_m: float = 2.0
+    no_echo: bool = False
+    p_occupied: float = 0.748
     """Of a cell on the arc."""
-    thickness_m: float = 0.153
-    fading_m: float = 1.25
+    thickness_m: float = 0.193
+    fading_m: float = 2.57
     """R0."""
-    p_specular: float = 0.251
+    p_specular: float = 0.23
     """p_s: that a surface that faces elsewhere sends the sound back."""
     name: str = "lim-cho"
 

@@ -56,17 +56,17 @@ class ForwardModel:
     Formulas from memory of the literature.
     """
 
-    reach_m: float = 0.8
+    reach_m: float = 1.0
     """Cells farther from the sonar are left out, and those beyond its maximum range."""
-    p_hit: float = 0.127
+    p_hit: float = 0.186
     """Probability that an occupied cell in the cone sends the echo, if none before it did."""
-    p_random: float = 0.057
-    sigma_m: float = 0.0772
-    p_occupied: float = 0.204
+    p_random: float = 0.0218
+    sigma_m: float = 0.077
+    p_occupied: float = 0.0295
     """Prior of each cell."""
-    weight: float = 0.494
+    weight: float = 0.463
     """Share of the log-odds that is believed: readings from one place repeat each other."""
-    no_echo: bool = False
+    no_echo: bool = True
     """Whether readings without echo are used."""
     name: str = "em"
 
