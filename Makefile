@@ -50,9 +50,9 @@ paper: $(READY)  ## the paper's figures, every model beside the network, and doc
 	$(BIN)/python experiments/beams.py
 	$(BIN)/python experiments/figures_6_to_9.py
 	$(BIN)/python experiments/corridor8_map.py
-	$(BIN)/python experiments/ablation.py
-	$(BIN)/python experiments/held_out.py --record held_out
-	$(BIN)/python experiments/held_out.py --robot p3dx --rooms 8 --record held_out_p3dx
+	$(BIN)/python experiments/ablation.py & ablation=$$!; \
+	$(BIN)/python experiments/held_out.py --record held_out && \
+	$(BIN)/python experiments/held_out.py --robot p3dx --rooms 8 --record held_out_p3dx && wait $$ablation
 	$(BIN)/python benchmarks/models.py --record
 	$(BIN)/python experiments/results.py
 

@@ -78,6 +78,21 @@ def ratio_table(found):
     return rows(header, body)
 
 
+def worst_table(means):
+    """Each model in the kind of place where it is worst, by each simulator; the best of each column in bold."""
+    models = list(means[SIMULATORS[0]][PLACES[0]])
+    columns = [(simulator, name) for simulator in SIMULATORS for name in DRAWN]
+    worst = {
+        model: [max(means[s][place][model][name][0] for place in PLACES) for s, name in columns] for model in models
+    }
+    least = [min(column) for column in zip(*worst.values(), strict=True)]
+    body = [
+        [f"`{model}`", *(f"**{v:.3f}**" if v == low else f"{v:.3f}" for v, low in zip(values, least, strict=True))]
+        for model, values in worst.items()
+    ]
+    return rows(["model", *(f"{simulator}: {name}" for simulator, name in columns)], body)
+
+
 def draw_models(means, rooms):
     """Likelihood and wiped of every model in every place, with intervals."""
     models = list(means[PLACES[0]])
@@ -95,11 +110,15 @@ def draw_models(means, rooms):
             panel.set_xlabel(f"{name} (lower is better)")
             panel.set_yticks(range(len(models)), models)
             panel.grid(axis="x", alpha=0.3)
-            if name == "wiped":
+            if name == "nll":
+                panel.set_xscale("log")
+                panel.set_xticks([0.15, 0.2, 0.3, 0.5, 1, 2], ["0.15", "0.2", "0.3", "0.5", "1", "2"])
+                panel.minorticks_off()
+            else:
                 panel.set_xscale("symlog", linthresh=0.01)
                 panel.set_xticks([0, 0.01, 0.1, 1], ["0", "0.01", "0.1", "1"])
                 panel.set_xlim(-0.001, 1.1)
-        line[0].invert_yaxis()
+    axes[0, 0].invert_yaxis()
     figure.suptitle(f"Every model on the same held-out drives: means over {rooms} rooms and 95 % intervals")
     save(figure, "models")
 
@@ -181,6 +200,7 @@ def main():
     blocks |= {f"p3dx scores of {place}": short_table(second["means"]["default"][place]) for place in PLACES}
     blocks |= {
         "ratios": ratio_table(found),
+        "worst": worst_table(found["means"]),
         "maps": maps_table(recorded("figures_6_to_9")),
         "corridor": corridor_table(recorded("corridor8")),
         "tuned": tune_table(recorded("tune")),
