@@ -112,7 +112,7 @@ def draw_models(means, rooms):
             panel.grid(axis="x", alpha=0.3)
             if name == "nll":
                 panel.set_xscale("log")
-                panel.set_xticks([0.15, 0.2, 0.3, 0.5, 1, 2], ["0.15", "0.2", "0.3", "0.5", "1", "2"])
+                panel.set_xticks([0.2, 0.3, 0.5, 1, 2], ["0.2", "0.3", "0.5", "1", "2"])
                 panel.minorticks_off()
             else:
                 panel.set_xscale("symlog", linthresh=0.01)
