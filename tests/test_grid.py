@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from echogrid.errors import UsageError
-from echogrid.grid import P_MAX, P_MIN, Grid, GrowingGrid, logit, sigmoid
+from echogrid.grid import P_MAX, P_MIN, Grid, GrowingGrid, covered, logit, sigmoid
 
 resolutions = st.sampled_from([0.05, 0.1, 0.12, 0.25, 1.0])
 origins = st.tuples(st.floats(-50, 50), st.floats(-50, 50))
@@ -234,3 +234,15 @@ def test_refining_leaves_the_frame_of_the_map_and_what_nobody_spoke_of(log_odds,
     assert (refined.resolution, refined.origin) == (grid.resolution, grid.origin)
     np.testing.assert_array_equal(refined.observed, observed)
     np.testing.assert_array_equal(refined.log_odds[~observed], log_odds[~observed])
+
+
+@given(st.integers(0, 10_000), st.floats(0, 1.5), st.floats(0.05, 0.5))
+def test_the_cells_that_a_disc_covers_are_those_whose_centre_it_holds(seed, radius, resolution):
+    rng = np.random.default_rng(seed)
+    poses, corner, shape = rng.uniform(-3, 3, (3, 3)), rng.integers(-12, 8, 2), (9, 14)
+    near = covered(poses, radius, corner, shape, resolution)
+    for row, col in np.ndindex(*shape):
+        y, x = ((cell + first + 0.5) * resolution for cell, first in zip((row, col), corner, strict=True))
+        distance = np.hypot(poses[:, 0] - x, poses[:, 1] - y)
+        if np.all(np.abs(distance - radius) > 1e-9):
+            assert near[row, col] == np.any(distance < radius)

@@ -104,10 +104,18 @@ def covered(
         shape: rows and columns.
         resolution: side of a cell, m.
     """
-    y, x = ((np.arange(n) + 0.5 + first) * resolution for n, first in zip(shape, corner, strict=True))
     near = np.zeros(shape, dtype=bool)
     for pose in poses:
-        near |= (y[:, None] - pose[1]) ** 2 + (x[None, :] - pose[0]) ** 2 < radius**2
+        # Of a large map only the cells round the disc are looked at.
+        home = pose[1::-1] / resolution - corner
+        low = np.maximum(np.floor(home - radius / resolution).astype(int), 0)
+        high = np.maximum(np.ceil(home + radius / resolution).astype(int), 0)
+        rows, cols = (slice(*ends) for ends in zip(low, high, strict=True))
+        y, x = (
+            (np.arange(n)[part] + 0.5 - at) * resolution
+            for n, part, at in zip(shape, (rows, cols), home, strict=True)
+        )
+        near[rows, cols] |= y[:, None] ** 2 + x[None, :] ** 2 < radius**2
     return near
 
 
