@@ -17,15 +17,12 @@ from corridor8_to_csv import frames
 from echogrid import Grid, Log, Robot
 from echogrid.interpret import LOCAL_CELL_M
 from echogrid.metrics import FREE_BELOW, OCCUPIED_ABOVE
-from echogrid.models import MODELS
-from held_out import PEERS, mapped
-from mrpt import available
+from held_out import EVERY, mapped
 from paper import Panel, page, record
 
 RIGHT_M, LEFT_M = -0.925, 1.180
 X = np.arange(1.0, 9.0, 0.02)
 ROBOT = Path(__file__).parent / "corridor8.yaml"
-EVERY = [*MODELS, *(PEERS if available() else ())]
 FOLDER = Path(__file__).parents[2] / "shared" / "data" / "corridor8"
 
 

@@ -14,10 +14,8 @@ from dataclasses import asdict
 from echogrid import Robot, World
 from echogrid.drive import tour, truth_of
 from echogrid.metrics import score
-from echogrid.models import MODELS
 from echogrid.simulate import Simulator
-from held_out import PEERS, mapped
-from mrpt import available
+from held_out import EVERY, mapped
 from paper import page, record
 
 SEED, RESOLUTION = 5, 0.12
@@ -62,8 +60,7 @@ def main():
                     (f"{title}, as fused", grid, poses, world),
                     (f"{title}, refined", grid.refined(), poses, world),
                 ]
-                names = [*MODELS, *(PEERS if available() else ())]
-                others = [(name, mapped(name, frames, robot, RESOLUTION), poses, world) for name in names]
+                others = [(name, mapped(name, frames, robot, RESOLUTION), poses, world) for name in EVERY]
                 page(others, 4, 2.9, aspect, f"{title}: the same B21 drive, every model", f"models_{place[-1]}")
         page(panels, 2, 4.8, aspect, f"{title}; same weights and settings throughout", place)
     page(refinement, 2, 4.8, 0.86, "The neighbourhood mask of the earlier system (B21)", "refinement")

@@ -41,6 +41,8 @@ PLACES = (*KINDS, "corridor")
 SIMULATORS = ("default", "varied", "leonard")
 SHOWN = [f.name for f in fields(Scores)][:8] + [f.name for f in fields(PathScore)][:3]
 PEERS = {"mrpt": False, "mrpt-centred": True}
+EVERY = [*MODELS, *(PEERS if available() else ())]
+"""All models, and the peers that are built here."""
 SEED, TABLE_SEED = 20_000_000, 40_000_000
 """Of the rooms that changes are judged by, and of those that only the recorded table is made of."""
 RESAMPLES = 2000
@@ -181,7 +183,7 @@ def markdown(means, simulator, place):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("models", nargs="*", default=[*MODELS, *PEERS])
+    parser.add_argument("models", nargs="*", default=EVERY)
     parser.add_argument("--rooms", type=int, default=20)
     parser.add_argument("--resolution", type=float, default=0.12)
     parser.add_argument("--robot", default="b21")
