@@ -7,7 +7,7 @@ BIN := .venv/bin
 READY := .venv/ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup map test check format bench study paper mrpt weights clean
+.PHONY: help setup map test check format bench study paper generalise mrpt weights clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -41,8 +41,8 @@ bench: $(READY)  ## speed and memory (about 4 minutes)
 	$(BIN)/python benchmarks/models.py
 	$(BIN)/python benchmarks/memory.py
 
-study: $(READY)  ## score the network and the cone on held-out rooms (about 5 minutes)
-	$(BIN)/python experiments/held_out.py network cone
+study: $(READY)  ## score both networks and the cone on held-out rooms (about 10 minutes)
+	$(BIN)/python experiments/held_out.py --resolution 0.04 set-network network cone
 
 paper: $(READY)  ## the paper's figures, every model beside the network, and docs/results.md (about 30 minutes)
 	$(BIN)/python experiments/figures_2_3_4.py
@@ -59,8 +59,12 @@ paper: $(READY)  ## the paper's figures, every model beside the network, and doc
 mrpt:  ## build the MRPT peer for make paper and make bench (Debian packages, as root or through sudo)
 	benchmarks/mrpt/install.sh
 
-weights: $(READY)  ## train the weights that ship (about 10 minutes on 2 cores)
-	$(BIN)/echogrid train --robot any --drives 6000 --epochs 24 --out src/echogrid/weights/any.npz
+generalise: $(READY)  ## measure the set network on rooms, arrays and physics it has not seen (about 20 minutes)
+	$(BIN)/python experiments/generalise.py
+
+weights: $(READY)  ## train the weights that ship (about 40 minutes on 2 cores)
+	$(BIN)/echogrid train --robot any --out src/echogrid/weights/set.npz
+	$(BIN)/echogrid train --network paper --robot any --drives 6000 --epochs 24 --out src/echogrid/weights/any.npz
 
 clean:  ## remove the virtual environment and everything made
 	rm -rf .venv out build dist .pytest_cache .ruff_cache .hypothesis

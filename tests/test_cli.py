@@ -15,12 +15,12 @@ from echogrid import __version__
 from echogrid.classical import Cone
 from echogrid.cli import COMMANDS, main
 from echogrid.em import ForwardModel
-from echogrid.interpret import Network
 from echogrid.log import Frame
 from echogrid.mapfile import read_truth
 from echogrid.models import MODELS, sensor_model
 from echogrid.readers import load_log
 from echogrid.robot import Robot, robot_yaml
+from echogrid.set_network import SetNetwork
 from echogrid.world import world_names
 
 SOURCE = Path(__file__).parents[1] / "src"
@@ -130,10 +130,10 @@ def test_map_writes_what_the_contract_names(sample):
     assert set(npz) == {"log_odds", "observed", "resolution", "origin"}
     assert (npz["log_odds"].dtype, npz["observed"].dtype) == (np.float32, bool)
     assert npz["log_odds"].shape == npz["observed"].shape
-    assert npz["resolution"] == 0.12
+    assert npz["resolution"] == 0.04
     assert npz["origin"].shape == (2,)
     server = yaml.safe_load((sample / "map.yaml").read_text())
-    assert (server["image"], server["mode"], server["resolution"]) == ("map.pgm", "trinary", 0.12)
+    assert (server["image"], server["mode"], server["resolution"]) == ("map.pgm", "trinary", 0.04)
     assert (sample / "map.png").read_bytes().startswith(b"\x89PNG\r\n")
     rows, cols = npz["log_odds"].shape
     assert (sample / "map.pgm").read_bytes().startswith(b"P5\n%d %d\n255\n" % (cols, rows))
@@ -201,8 +201,8 @@ def test_run_yaml_is_enough_to_repeat_the_run(run, sample, tmp_path):
 
 def test_run_yaml_holds_how_the_weights_were_trained(sample):
     settings = yaml.safe_load((sample / "run.yaml").read_text())
-    network = sensor_model("network")
-    assert isinstance(network, Network)
+    network = sensor_model("set-network")
+    assert isinstance(network, SetNetwork)
     assert settings["weights"] == network.recipe
     assert "parameters" not in settings
 
@@ -570,7 +570,7 @@ BAD_CALLS: list[tuple[list[str], str]] = [
     ([*MAP, "--resolution", "-1"], "--resolution: found -1"),
     ([*MAP, "--resolution", "nan"], "--resolution: found nan"),
     ([*MAP, "--resolution", "1000"], "--resolution: found 1000"),
-    ([*MAP, "--interpreter", "netwrok"], "interpreter: found netwrok, expected network, cone, "),
+    ([*MAP, "--interpreter", "netwrok"], "interpreter: found netwrok, expected set-network, network, cone, "),
     ([*MAP, "--interpreter", "missing.npz"], "interpreter: found missing.npz"),
     ([*MAP, "--interpreter", "x" * 300], "x"),
     ([*MAP, "--interpreter", "drive.csv"], "drive.csv: found "),

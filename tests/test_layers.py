@@ -13,9 +13,9 @@ PACKAGE = Path(echogrid.__file__).parent
 ORDER = [
     *("errors", "geometry", "regions", "files", "robot", "world", "acoustics", "rooms", "log"),
     *("readers.lines", "readers.csv_log", "readers.carmen", "readers"),
-    *("grid", "metrics", "drive", "echo", "simulate", "interpret", "beam"),
+    *("grid", "metrics", "drive", "echo", "simulate", "memory", "interpret", "set_network", "beam"),
     *("classical", "calculi", "em", "models", "mapping"),
-    *("examples", "train"),
+    *("examples", "lessons", "train", "set_training"),
     *("picture", "mapfile", "cli"),
 ]
 

@@ -45,7 +45,7 @@ def test_nav2_tuned_is_nav2_but_for_the_number_of_the_search():
     assert tuned.phi_m < shipped.phi_m
 
 
-@pytest.mark.parametrize("name", [name for name in MODELS if name != "network"])
+@pytest.mark.parametrize("name", [name for name in MODELS if "network" not in name])
 def test_a_model_is_a_class_whose_defaults_are_plain_numbers(name):
     model = MODELS[name]
     assert isinstance(model, type)
@@ -62,6 +62,6 @@ def test_weights_go_by_their_file(tmp_path):
 
 def test_what_is_neither_a_name_nor_a_file_is_one_line():
     with pytest.raises(
-        UsageError, match=r"^interpreter: found oracle, expected network, cone, .*em or a weights file$"
+        UsageError, match=r"^interpreter: found oracle, expected set-network, network, cone, .*em or a weights file$"
     ):
         sensor_model("oracle")

@@ -125,6 +125,13 @@ def test_a_round_robot_has_an_even_ring(name, pitch, radius):
     np.testing.assert_allclose(reach, radius or reach[0], atol=1e-3)
 
 
+def test_the_scitos_numbers_its_sonars_as_its_recordings_do():
+    # Driving forward, what S1 sees recedes and what S13 sees comes nearer; turning right, S_k hands on to S_k+1.
+    mounts = Robot.load("scitos-g5").mounts
+    np.testing.assert_allclose(mounts[12], [0.3, 0, 0], atol=1e-4)
+    np.testing.assert_allclose(np.rad2deg(mounts[13, 2] - mounts[12, 2]), 15)
+
+
 @pytest.mark.parametrize("name", ["b21", "robuter2", "p3dx", "nomad200", "scitos-g5"])
 def test_a_preset_is_the_same_seen_in_a_mirror(name):
     mounts = Robot.load(name).mounts

@@ -50,13 +50,13 @@ class Physics:
     """Root mean square slope of such walls: how far from the normal they send echoes back."""
     axis_ray: bool = False
     """Leonard's rule for a sonar that hears nothing: it reads the length of the specular way along its axis, up to
-    the first wall that is met within 12.5 degrees of its normal."""
+    the first wall that is met within 12.5 degrees of its normal, or 60 if it is rough."""
     level_noise_db: float = 1.5
     """Standard deviation of the level of each reading."""
     walk_error: float = 0.5
     """Share of the detector's walk error that is left: a weak echo crosses the threshold late in the burst."""
     range_noise: float = 0.004
-    """White range error, share of the range (at least 3 mm)."""
+    """White range error, share of the range (at least 1 mm)."""
     range_scale: float = 0.005
     """Standard deviation of the scale error that all readings of a run share (a wrong temperature)."""
     lost: float = 0.01

@@ -69,10 +69,10 @@ class Map:
     """Preset or robot file. Default: the robot that the log describes, else b21 if the log has 24 sonars."""
     out: Path = Path("out")
     """Folder for the map."""
-    resolution: float = 0.12
-    """Side of a cell of the map, m."""
-    interpreter: str = "network"
-    """network (with the weights that ship), a weights file, or a classical model: cone, cone-no-echo, moravec-elfes,
+    resolution: float | None = None
+    """Side of a cell of the map, m. Default: 0.04 for the set network, else 0.12."""
+    interpreter: str = "set-network"
+    """set-network, network (the paper's), a weights file, or a classical model: cone, cone-no-echo, moravec-elfes,
     elfes, nav2, nav2-clearing, nav2-tuned, himm, muriel, dempster-shafer, fuzzy, lim-cho, em."""
     refine: bool = False
     """Clean the finished map with a 3x3 neighbourhood mask."""
@@ -83,8 +83,9 @@ class Map:
         from echogrid.mapfile import write_map
         from echogrid.mapping import build_map
         from echogrid.models import sensor_model
+        from echogrid.set_network import SetNetwork
 
-        if not 0.005 <= self.resolution <= 10:
+        if self.resolution is not None and not 0.005 <= self.resolution <= 10:
             raise UsageError(f"--resolution: found {self.resolution:g}, expected 0.005 to 10 m")
         log, robot, named = _open(self.log, self.robot)
         model = sensor_model(self.interpreter)
@@ -107,7 +108,8 @@ class Map:
             if self.refine:
                 grid = grid.refined()
             settings = asdict(self) | {"log": log.name, "robot": robot_yaml(robot), "frames": count}
-            if isinstance(model, Network):
+            settings["resolution"] = grid.resolution
+            if isinstance(model, Network | SetNetwork):
                 settings |= {"weights": model.recipe}
             elif is_dataclass(model) and not isinstance(model, type):
                 settings |= {"parameters": asdict(model)}
@@ -211,7 +213,7 @@ class Scan:
 
 @dataclass(frozen=True)
 class Train:
-    """Train the network for a robot from nothing, simulated drives included.
+    """Train a network for a robot from nothing, simulated drives included.
 
     Takes up again where it was stopped, from OUT.checkpoint.npz, if the settings are the same.
     """
@@ -220,15 +222,18 @@ class Train:
     """Preset, robot file, or any: a new array for each drive, as for the weights that ship."""
     out: Path
     """The weights to write (.npz)."""
-    drives: int = 5000
+    network: Literal["set", "paper"] = "set"
+    """The set network, which reads any array, or the paper's."""
+    drives: int = 6000
     """Simulated drives to learn from."""
-    epochs: int = 30
+    epochs: int = 24
     """Times to go through them."""
     seed: int = 1
     """The same seed gives the same weights."""
 
     def run(self) -> None:
         """Write the weights."""
+        from echogrid.set_training import SetRecipe
         from echogrid.train import Recipe, train
 
         for name in ("drives", "epochs"):
@@ -239,7 +244,8 @@ class Train:
             raise unwritable(self.out, "a folder")
         robot = None if self.robot == "any" else Robot.load(self.robot)
         begin = time.perf_counter()
-        recipe = Recipe(drives=self.drives, epochs=self.epochs, seed=self.seed)
+        kind = SetRecipe if self.network == "set" else Recipe
+        recipe = kind(drives=self.drives, epochs=self.epochs, seed=self.seed)
         network = train(robot, recipe, self.out, progress=True)
         minutes = (time.perf_counter() - begin) / 60
         print(f"{self.out}: trained for {self.robot} in {minutes:.1f} min, loss {network.recipe['losses'][-1]:.4f}")

@@ -29,7 +29,9 @@ RAYS = 49
 FAN_RAD = np.deg2rad(73.5)
 """Width of the fan: beyond it no beam pattern reaches the threshold."""
 
-_SQUARE = np.cos(np.deg2rad(12.5))
+# Up to these angles off the normal a wall ends an axis ray: a smooth one, and one that is rougher than _ROUGH_M.
+_SQUARE, _OBLIQUE = np.cos(np.deg2rad(12.5)), np.cos(np.deg2rad(60.0))
+_ROUGH_M = 4e-4
 _FAR = 1e6
 _NOTHING = 1e9
 
@@ -99,11 +101,14 @@ class _Rays(NamedTuple):
     """Length of the path so far, m."""
     loss: Float[Array, "m"]
     """One-way loss at the mirrors met so far, dB (negative)."""
+    left: Int[Array, "m"]
+    """The wall at which this leg begins; -1: none."""
 
 
 class _Hit(NamedTuple):
     """The wall that each ray meets first."""
 
+    wall: Int[Array, "m"]
     distance: Float[Array, "m"]
     """From the leg's begin, m; _FAR where there is no wall."""
     normal_x: Float[Array, "m"]
@@ -120,12 +125,15 @@ def _first_hit(scene: Scene, rays: _Rays) -> _Hit:
     dx, dy = scene.along[:, :1], scene.along[:, 1:]
     t = (scene.offset[:, None] - (rays.x * nx + rays.y * ny)) / (rays.ux * nx + rays.uy * ny)
     s = (rays.x + t * rays.ux) * dx + (rays.y + t * rays.uy) * dy - scene.begin[:, None]
-    ok = (t > 1e-4) & (s >= 0) & (s <= scene.length[:, None])
+    # A mirror does not meet itself again; its neighbour in a corner may be as near as rounding goes.
+    other = jnp.arange(len(scene.length))[:, None] != rays.left
+    ok = other & (t > -1e-5) & (s >= 0) & (s <= scene.length[:, None])
+    t = jnp.maximum(t, 0.0)
     wall, found = _nearest(ok, t)
     hx, hy, offset = scene.normal[wall, 0], scene.normal[wall, 1], scene.offset[wall]
     towards = rays.ux * hx + rays.uy * hy
     distance = jnp.where(found, (offset - (rays.x * hx + rays.y * hy)) / towards, _FAR)
-    return _Hit(distance, hx, hy, offset, scene.roughness[wall], towards)
+    return _Hit(wall, distance, hx, hy, offset, scene.roughness[wall], towards)
 
 
 def _nearest(ok: Bool[Array, "n m"], distance: Float[Array, "n m"]) -> tuple[Int[Array, "m"], Bool[Array, "m"]]:
@@ -204,7 +212,9 @@ def first_echo(
     gain = spread(level_offset)
     beam, slope = (jnp.tile(v, sonars) for v in _fan_beam(ac, fan, step))
     zero = jnp.zeros_like(bearing)
-    leg = _Rays(sx, sy, jnp.cos(bearing), jnp.sin(bearing), sx, sy, zero + 1.0, zero, zero)
+    leg = _Rays(
+        sx, sy, jnp.cos(bearing), jnp.sin(bearing), sx, sy, zero + 1.0, zero, zero, jnp.full_like(zero, -1, jnp.int32)
+    )
     best = jnp.full_like(bearing, _NOTHING)
     way = jnp.full_like(bearing, _NOTHING)
 
@@ -230,7 +240,8 @@ def first_echo(
         level = level + 2 * (leg.loss + beam) + gain
         best = jnp.minimum(best, _crossing(ac, (end < 0.5 * _FAR) & ~cylinder, end, level))
 
-        square = (jnp.abs(hit.towards) > _SQUARE) & (end < 0.5 * _FAR) & ~cylinder
+        limit = jnp.where(hit.roughness > _ROUGH_M, _OBLIQUE, _SQUARE)
+        square = (jnp.abs(hit.towards) > limit) & (end < 0.5 * _FAR) & ~cylinder
         way = jnp.where(square, jnp.minimum(way, end), way)
 
         if order < BOUNCES:
@@ -245,6 +256,7 @@ def first_echo(
                 -leg.parity,
                 jnp.where(cylinder, _FAR, end),
                 leg.loss - 4.343 * rayleigh - ac.reflection_loss_db,
+                hit.wall,
             )
 
     nearest = jnp.min(best.reshape(sonars, rays), axis=1)

@@ -190,7 +190,7 @@ def generate(robot: Robot | None, drives: int, seed: int, progress: bool = False
     parts += waiting.pop()()
     bar.update(_CHUNK)
     bar.close()
-    return _stack(parts[:drives])
+    return stack(parts[:drives])
 
 
 def _begin(rng: np.random.Generator, robot: Robot | None, zone: int) -> Callable[[], list[Examples]]:
@@ -198,11 +198,11 @@ def _begin(rng: np.random.Generator, robot: Robot | None, zone: int) -> Callable
     batch = [_drive(rng, robot or random_robot(rng)) for _ in range(_CHUNK)]
     physics = [random_physics(rng) for _ in batch]
     heads = [d.robot.transducer if robot and rng.random() < 0.5 else random_transducer(rng) for d in batch]
-    scenes = _stack([Scene.of(d.world, _WALLS, _TARGETS) for d in batch])
-    air = _stack([acoustics(head, p) for head, p in zip(heads, physics, strict=True)])
+    scenes = stack([Scene.of(d.world, _WALLS, _TARGETS) for d in batch])
+    air = stack([acoustics(head, p) for head, p in zip(heads, physics, strict=True)])
     mounts = np.zeros((_CHUNK, FRAMES, robot.sonars if robot else 24, 3), dtype=np.float32)
     for i, d in enumerate(batch):
-        mounts[i, :, : d.robot.sonars] = sonar_poses(_bent(rng, d.robot.mounts), d.poses)
+        mounts[i, :, : d.robot.sonars] = sonar_poses(bent(rng, d.robot.mounts), d.poses)
     noise = np.array([p.level_noise_db for p in physics])[:, None, None]
     level = (noise * rng.standard_normal(mounts.shape[:3])).astype(np.float32)
     heard = drives_ranges(scenes, air, mounts[..., :2], mounts[..., 2], level)
@@ -220,10 +220,11 @@ def _begin(rng: np.random.Generator, robot: Robot | None, zone: int) -> Callable
     return finish
 
 
-def _bent(rng: np.random.Generator, mounts: Float[ndarray, "sonars 3"]) -> Float[ndarray, "sonars 3"]:
+def bent(rng: np.random.Generator, mounts: Float[ndarray, "sonars 3"]) -> Float[ndarray, "sonars 3"]:
     """The mounts as they really are: a little off what the robot file says."""
     return mounts + rng.choice([0.0, 1.0]) * rng.standard_normal(mounts.shape) * [0.004, 0.004, 0.02]
 
 
-def _stack[T: tuple](items: list[T]) -> T:
+def stack[T: tuple](items: list[T]) -> T:
+    """A tuple of arrays from tuples of their parts."""
     return type(items[0])(*(np.stack([np.asarray(v) for v in field]) for field in zip(*items, strict=True)))

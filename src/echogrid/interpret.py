@@ -40,7 +40,8 @@ LOCAL_CELLS, LOCAL_CELL_M = 24, 0.12
 HALF_M = LOCAL_CELLS * LOCAL_CELL_M / 2
 """Half the side of the local map: how far the mapper looks to each side."""
 
-_FORMAT = "echogrid-mlp-1"
+FORMAT = "echogrid-mlp-1"
+"""Of the weights file."""
 
 
 @runtime_checkable
@@ -172,6 +173,26 @@ def looked_at(reading: Float[Array, "*n zone"], off_axis: Float[Array | ndarray,
     return jnp.any(~jnp.isnan(reading) & (jnp.abs(off_axis) <= LOOK_RAD), axis=-1)
 
 
+def read_weights(path: str | Path, *formats: str) -> dict[str, ndarray]:
+    """The arrays of a weights file of one of some formats, by name; ``format`` among them.
+
+    Raises:
+        InputError: not such a file.
+        UsageError: there is no file.
+    """
+    expected = f"a weights file ({' or '.join(formats)}, made by echogrid train)"
+    try:
+        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
+            arrays = {name: data[name] for name in data.files}
+    except FileNotFoundError:
+        raise UsageError(f"weights: found no file {path}, expected {expected}") from None
+    except Exception as error:  # numpy and zipfile raise many kinds for a damaged file
+        raise InputError(path, f"no such file content ({type(error).__name__})", expected) from None
+    if str(arrays.get("format")) not in formats:
+        raise InputError(path, f"format {str(arrays.get('format'))[:40]}", expected)
+    return arrays
+
+
 @dataclass(frozen=True)
 class Network:
     """The paper's multilayer perceptron over the zone of a point, with its weights."""
@@ -218,7 +239,7 @@ class Network:
         arrays = {f"{k}{i}": np.asarray(v) for i, wb in enumerate(self.layers) for k, v in zip("wb", wb, strict=True)}
         with replacing(Path(path)) as temporary, temporary.open("wb") as file:
             np.savez(
-                file, allow_pickle=False, format=_FORMAT, prior=self.prior, recipe=json.dumps(self.recipe), **arrays
+                file, allow_pickle=False, format=FORMAT, prior=self.prior, recipe=json.dumps(self.recipe), **arrays
             )
 
     @staticmethod
@@ -228,19 +249,13 @@ class Network:
         Raises:
             InputError: not a weights file of this format.
         """
-        expected = f"a weights file ({_FORMAT}, made by echogrid train)"
+        data = read_weights(path, FORMAT)
+        count = sum(key.startswith("w") for key in data)
         try:
-            with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
-                if str(data["format"]) == _FORMAT:
-                    count = sum(key.startswith("w") for key in data.files)
-                    layers = [(data[f"w{i}"], data[f"b{i}"]) for i in range(count)]
-                    prior, recipe = float(data["prior"]), json.loads(str(data["recipe"]))
-                else:
-                    layers, prior, recipe = [], 0.0, {}
-        except FileNotFoundError:
-            raise UsageError(f"weights: found no file {path}, expected {expected}") from None
-        except Exception as error:  # numpy and zipfile raise many kinds for a damaged file
-            raise InputError(path, f"no such file content ({type(error).__name__})", expected) from None
+            layers: Layers = [(data[f"w{i}"], data[f"b{i}"]) for i in range(count)]
+            prior, recipe = float(data["prior"]), json.loads(str(data["recipe"]))
+        except (KeyError, ValueError, TypeError):
+            layers, prior, recipe = [], 0.0, {}
         sizes = [*layers[0][0].shape[:1], *(n for w, _ in layers for n in w.shape[1:])] if layers else []
         fits = len(layers) == 3 and len(sizes) == 4 and sizes[-1] == 1 and 0 < prior < 1
         fits = fits and sizes[0] in map(inputs, range(1, MOST_ZONE + 1))

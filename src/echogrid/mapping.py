@@ -1,7 +1,7 @@
 """From frames to the map: the local map of each scan, its place in the world (eq. 4), and Bayes' rule."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import batched
 from typing import NamedTuple
@@ -18,8 +18,10 @@ from echogrid.errors import UsageError
 from echogrid.grid import P_MIN, Grid, GrowingGrid, covered, logit
 from echogrid.interpret import LOCAL_CELL_M, LOCAL_CELLS, Interpreter
 from echogrid.log import Frame
-from echogrid.models import Model, sensor_model
+from echogrid.memory import TRAITS, Memory
+from echogrid.models import DEFAULT, Model, sensor_model
 from echogrid.robot import Robot
+from echogrid.set_network import REACH_M, SetNetwork
 
 ROBOT_CELLS = 4
 """The robot stands in the central 4 x 4 cells of the local map."""
@@ -32,6 +34,15 @@ P_VIEW_MIN, P_VIEW_MAX = 0.02, 0.98
 
 BATCH = 64
 """Scans that are interpreted together; few enough to stay in the cache."""
+
+SUMS = ("occupied", "free", "occupied2", "free2")
+"""Layers of a map that is fused by the set network: evidence for and against a surface, and of its squares."""
+
+SIZES = (1, 8, BATCH)
+"""Batches of these sizes are compiled for: one scan alone is not to wait for many."""
+
+FINE_CELL_M = 0.04
+"""Cells of the set network's map: fine enough that where a cell lies on a wall does not matter."""
 
 WORKERS = 2
 """Batches that are interpreted side by side."""
@@ -139,8 +150,7 @@ Patcher = Callable[
 
 def _patcher(robot: Robot, model: Interpreter, resolution: float) -> Patcher:
     look = local_mapper(robot, model)
-    side = _patch_side(resolution)
-    steps = jnp.arange(side) * resolution
+    steps = jnp.arange(_patch_side(resolution)) * resolution
     prior = float(logit(model.prior))
 
     @jax.jit
@@ -149,21 +159,31 @@ def _patcher(robot: Robot, model: Interpreter, resolution: float) -> Patcher:
 
         ``corner``: centre of each patch's first cell relative to the robot, m, world axes; ``theta``: rad.
         """
-        x = corner[:, 0, None, None] + steps[None, None, :]
-        y = corner[:, 1, None, None] + steps[None, :, None]
-        cos, sin = jnp.cos(theta)[:, None, None], jnp.sin(theta)[:, None, None]
-        p = resample(look(ranges), in_cells(cos * x + sin * y), in_cells(cos * y - sin * x))
-        p = jnp.clip(p, P_VIEW_MIN, P_VIEW_MAX)
+        x, y = _in_robot(corner, theta, steps)
+        p = jnp.clip(resample(look(ranges), in_cells(x), in_cells(y)), P_VIEW_MIN, P_VIEW_MAX)
         return jnp.log(p / (1 - p)) - prior
 
     return patches
 
 
+def _in_robot(corner, theta, steps):
+    """Coordinates in the robot's frame (m) of the cells of patches; see ``_patcher``."""
+    x = corner[:, 0, None, None] + steps[None, None, :]
+    y = corner[:, 1, None, None] + steps[None, :, None]
+    cos, sin = jnp.cos(theta)[:, None, None], jnp.sin(theta)[:, None, None]
+    return cos * x + sin * y, cos * y - sin * x
+
+
+def cell_of(model: Model) -> float:
+    """Side (m) of the cells that a model's map has unless another is asked for."""
+    return FINE_CELL_M if isinstance(model, SetNetwork) else LOCAL_CELL_M
+
+
 def build_map(
     frames: Iterable[Frame],
     robot: Robot,
-    model: Model | str = "network",
-    resolution: float = LOCAL_CELL_M,
+    model: Model | str = DEFAULT,
+    resolution: float | None = None,
 ) -> Iterator[Grid]:
     """Fuse the frames of a drive into a global map that grows as the robot drives.
 
@@ -171,7 +191,7 @@ def build_map(
         frames: a log; each frame is read once, and not kept but by a model that needs the whole log.
         robot: the robot that drove; its mounts are in the order of the readings.
         model: a sensor model, or its name.
-        resolution: side of a global cell, m.
+        resolution: side of a global cell, m; None: ``cell_of`` the model.
 
     Yields:
         The map so far, after each batch of frames: views of the growing arrays, not copies. A model that needs the
@@ -182,8 +202,11 @@ def build_map(
     """
     if isinstance(model, str):
         model = sensor_model(model)
+    resolution = resolution or cell_of(model)
     fitting = _fitting(frames, robot)
-    if isinstance(model, ForwardModel):
+    if isinstance(model, SetNetwork):
+        yield from _by_views(fitting, robot, model, resolution)
+    elif isinstance(model, ForwardModel):
         yield from model.maps(fitting, robot, resolution)
     elif isinstance(model, ReadingModel):
         yield from _by_readings(fitting, robot, model, resolution)
@@ -224,20 +247,34 @@ class _Evidence(NamedTuple):
     spoken: Bool[ndarray, "scans side side"]
 
 
+class _Placed(NamedTuple):
+    """A batch of scans, filled up, and where its patches of the global map lie."""
+
+    ranges: Float[ndarray, "scans sonars"]
+    """m; nan behind the last scan."""
+    first: Int[ndarray, "scans 2"]
+    """Global cell [row, col] of each patch's first cell."""
+    corner: Float[ndarray, "scans 2"]
+    """Centre of that cell relative to the robot, m, world axes, x first."""
+    theta: Float[ndarray, "scans"]
+
+
+def _placed(batch: Sequence[Frame], size: int, side: int, resolution: float) -> _Placed:
+    """Fill a batch up to ``size`` scans, so that one compilation serves all."""
+    fill = size - len(batch)
+    poses = np.pad([frame.pose for frame in batch], [(0, fill), (0, 0)], mode="edge")
+    ranges = np.pad([frame.ranges for frame in batch], [(0, fill), (0, 0)], constant_values=np.nan)
+    first = np.floor(poses[:, :2] / resolution).astype(np.int64) - side // 2
+    corner = ((first + 0.5) * resolution - poses[:, :2]).astype(np.float32)
+    theta = np.mod(poses[:, 2], 2 * np.pi).astype(np.float32)
+    return _Placed(ranges.astype(np.float32), first[:, ::-1], corner, theta)
+
+
 def _interpret(batch: tuple[Frame, ...], robot: Robot, patches: Patcher, resolution: float) -> _Evidence:
-    count = len(batch)
-    poses = np.array([frame.pose for frame in batch])
-    # The last batch is filled up, so that one compilation serves all.
-    ranges = np.full((BATCH, robot.sonars), np.nan, dtype=np.float32)
-    ranges[:count] = [frame.ranges for frame in batch]
-    first = np.floor(poses[:, :2] / resolution).astype(np.int64) - _patch_side(resolution) // 2
-    corner = np.zeros((BATCH, 2), dtype=np.float32)
-    corner[:count] = (first + 0.5) * resolution - poses[:, :2]
-    theta = np.zeros(BATCH, dtype=np.float32)
-    theta[:count] = np.mod(poses[:, 2], 2 * np.pi)
-    evidence = np.asarray(patches(ranges, corner, theta))[:count]
+    placed = _placed(batch, BATCH, _patch_side(resolution), resolution)
+    evidence = np.asarray(patches(placed.ranges, placed.corner, placed.theta))[: len(batch)]
     spoken = ~np.isnan(evidence)
-    return _Evidence(first[:, ::-1], np.where(spoken, evidence, np.float32(0)), spoken)
+    return _Evidence(placed.first[: len(batch)], np.where(spoken, evidence, np.float32(0)), spoken)
 
 
 def _fuse(grown: GrowingGrid, evidence: _Evidence) -> Grid:
@@ -246,6 +283,76 @@ def _fuse(grown: GrowingGrid, evidence: _Evidence) -> Grid:
     for corner, log_odds, spoken in zip(*evidence, strict=True):
         grown.fuse(corner, log_odds, spoken)
     return grown.grid()
+
+
+def _by_views(frames: Iterator[Frame], robot: Robot, network: SetNetwork, resolution: float) -> Iterator[Grid]:
+    """The map by the set network, which sums its evidence apart for and against a surface, window by window."""
+    side = int(np.ceil(2 * REACH_M / resolution)) + 2
+    span = side + int(np.ceil(WINDOW_M / resolution)) + 1
+    window = _windower(robot, network, resolution, side, span)
+    grown = GrowingGrid(resolution, dict.fromkeys(SUMS, np.float32(0)[...]))
+    memory = Memory(robot.mounts)
+    with ThreadPoolExecutor(WORKERS) as pool:
+        waiting: deque[tuple[Int[ndarray, "2"], Int[ndarray, "2"], Future]] = deque()
+
+        def oldest() -> Grid:
+            corner, end, sums = waiting.popleft()
+            grown.reserve(corner, end)
+            rows, cols = (int(n) for n in end - corner)
+            cells = grown.window(corner, (rows, cols))
+            for name, added in zip(SUMS, sums.result(), strict=True):
+                cells[name] += np.asarray(added)[:rows, :cols]
+            cells["observed"] |= cells["occupied"] + cells["free"] > 0
+            log_odds = network.fuse(*(cells[name] for name in SUMS))
+            cells["log_odds"][:] = np.where(cells["observed"], log_odds, 0.0)
+            return grown.grid()
+
+        for batch in _near_each_other(frames):
+            recalled = memory.take(
+                np.array([frame.pose for frame in batch]), np.array([frame.ranges for frame in batch])
+            )
+            size = next(size for size in SIZES if size >= len(batch))
+            placed = _placed(batch, size, side, resolution)
+            traits = np.full((size, TRAITS), 0.5, dtype=np.float32)
+            traits[: len(batch)] = recalled.traits
+            weight = np.zeros(size, dtype=np.float32)
+            weight[: len(batch)] = recalled.weight
+            corner = placed.first.min(axis=0)
+            at = (placed.first - corner).astype(np.int32)
+            work = pool.submit(window, placed.ranges, traits, placed.corner, placed.theta, at, weight)
+            waiting.append((corner, placed.first.max(axis=0) + side, work))
+            # Batches are interpreted side by side, and fused in their order.
+            if len(waiting) > WORKERS:
+                yield oldest()
+        while waiting:
+            yield oldest()
+
+
+def _windower(robot: Robot, network: SetNetwork, resolution: float, side: int, span: int) -> Callable:
+    view = network.views(robot)
+    steps = jnp.arange(side) * resolution
+
+    @jax.jit
+    def window(ranges, traits, corner, theta, at, weight):
+        """Sums over scans (m) on a window of the global map, see SUMS.
+
+        ``corner``, ``theta``: as in ``_Placed``; ``at``: cell [row, col] of the window at which each patch begins;
+        ``weight``: what each scan counts.
+        """
+        found = jax.lax.optimization_barrier(view(ranges, traits, *_in_robot(corner, theta, steps)))
+
+        def add(sums, scan):
+            found, at, weight = scan
+            occupied = jnp.maximum(found, 0.0)
+            free = occupied - found
+            added = [weight * occupied, weight * free, weight * occupied**2, weight * free**2]
+            part = [jax.lax.dynamic_slice(total, at, (side, side)) for total in sums]
+            return tuple(map(lambda t, p, a: jax.lax.dynamic_update_slice(t, p + a, at), sums, part, added)), None
+
+        blank = tuple(jnp.zeros((span, span), jnp.float32) for _ in SUMS)
+        return jax.lax.scan(add, blank, (found, at, weight))[0]
+
+    return window
 
 
 def _by_readings(frames: Iterator[Frame], robot: Robot, model: ReadingModel, resolution: float) -> Iterator[Grid]:

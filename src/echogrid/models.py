@@ -10,17 +10,27 @@ from echogrid.calculi import DempsterShafer, Fuzzy, Himm, MoravecElfes
 from echogrid.classical import Cone, ConeNoEcho, Elfes, LimCho, Muriel, Nav2, Nav2Clearing, Nav2Tuned
 from echogrid.em import ForwardModel
 from echogrid.errors import UsageError
-from echogrid.interpret import Interpreter, Network
+from echogrid.interpret import FORMAT, Interpreter, Network, read_weights
+from echogrid.set_network import FORMAT as SET_FORMAT
+from echogrid.set_network import SetNetwork
 
-Model = Interpreter | ReadingModel | ForwardModel
+Model = SetNetwork | Interpreter | ReadingModel | ForwardModel
 
 
-def _shipped() -> Network:
-    return replace(Network.load(str(resources.files("echogrid") / "weights" / "any.npz")), name="network")
+_WEIGHTS = resources.files("echogrid") / "weights"
+
+
+def _set_network() -> SetNetwork:
+    return replace(SetNetwork.load(str(_WEIGHTS / "set.npz")), name="set-network")
+
+
+def _network() -> Network:
+    return replace(Network.load(str(_WEIGHTS / "any.npz")), name="network")
 
 
 MODELS: dict[str, Callable[[], Model]] = {
-    "network": _shipped,
+    "set-network": _set_network,
+    "network": _network,
     "cone": Cone,
     "cone-no-echo": ConeNoEcho,
     "moravec-elfes": MoravecElfes,
@@ -35,11 +45,13 @@ MODELS: dict[str, Callable[[], Model]] = {
     "lim-cho": LimCho,
     "em": ForwardModel,
 }
-"""Models by name; ``network`` has the weights that ship with the package."""
+"""Models by name, the default first; the networks have the weights that ship with the package."""
+
+DEFAULT = "set-network"
 
 
 def sensor_model(name_or_weights: str) -> Model:
-    """A model by name, or the network with weights from a file.
+    """A model by name, or a network with weights from a file.
 
     Raises:
         InputError: the file is not a weights file.
@@ -49,4 +61,5 @@ def sensor_model(name_or_weights: str) -> Model:
         return MODELS[name_or_weights]()
     if not Path(name_or_weights).exists():
         raise UsageError(f"interpreter: found {name_or_weights}, expected {', '.join(MODELS)} or a weights file")
-    return Network.load(name_or_weights)
+    kinds = {SET_FORMAT: SetNetwork, FORMAT: Network}
+    return kinds[str(read_weights(name_or_weights, *kinds)["format"])].load(name_or_weights)

@@ -123,11 +123,24 @@ def hall(rng: np.random.Generator) -> Shape:
     return groups, cylinders
 
 
+def clutter(rng: np.random.Generator) -> Shape:
+    """A room full of small things: boxes, posts, table legs."""
+    w, h = rng.uniform(2.6, 6.0, 2)
+    outline = np.array([[0, 0], [w, 0], [w, h], [0, h]])
+    groups = [polyline([a, b]) for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True)]
+    groups += [box(rng, *rng.uniform(0.1, [w - 0.1, h - 0.1]), 0.08, 0.5) for _ in range(rng.integers(2, 7))]
+    cylinders = [
+        [rng.uniform(0.1, w), rng.uniform(0.1, h), rng.uniform(0.01, 0.12)] for _ in range(rng.integers(2, 9))
+    ]
+    return groups, cylinders
+
+
 SHAPES: dict[str, Callable[[np.random.Generator], Shape]] = {
     "contour": contour,
     "room": room,
     "corridor": corridor,
     "hall": hall,
+    "clutter": clutter,
 }
 """Generators of worlds by name."""
 
@@ -148,29 +161,29 @@ def random_world(rng: np.random.Generator, shape: str, walls: str = "any") -> Wo
 
 
 def random_physics(rng: np.random.Generator) -> Physics:
-    """Air, ranging module and surfaces as they may be anywhere; one time in five Leonard's model taken strictly."""
-    strict = bool(rng.random() < 0.2)
+    """Air, ranging module and surfaces as they may be anywhere; three times in ten Leonard's model taken strictly."""
+    strict = bool(rng.random() < 0.3)
     beam = str(rng.choice(["bessel", "gaussian", "impulse", "cone"], p=[0.65, 0.2, 0.1, 0.05]))
     # From modules that hear little but what they face, to such that hear side lobes and long ways round.
     level = rng.choice([rng.uniform(18, 30), rng.uniform(28, 48), rng.uniform(45, 65)], p=[0.1, 0.65, 0.25])
     return Physics(
         beam="cone" if strict else beam,
-        axis_ray=strict or bool(rng.random() < 0.15),
+        axis_ray=strict or bool(rng.random() < 0.25),
         temperature_c=rng.uniform(10, 30),
         humidity_percent=rng.uniform(20, 80),
-        level_db=rng.uniform(18, 34) if strict else level,
+        level_db=rng.uniform(18, 50) if strict else level,
         gain_ramp_db=rng.uniform(0, 25),
         reflection_loss_db=rng.choice([rng.uniform(0, 1), rng.uniform(0, 8)]),
         edge_db=rng.uniform(-40, -16),
-        diffuse_db=rng.uniform(-20, 0) if strict else rng.uniform(-8, 6),
+        diffuse_db=rng.uniform(-20, 6) if strict else rng.uniform(-8, 6),
         facet_db=rng.choice([-60.0, rng.uniform(-30, 0)]),
         facet_slope_deg=rng.uniform(2, 10),
-        level_noise_db=rng.uniform(0.5, 4),
-        walk_error=rng.uniform(0, 0.8),
-        range_noise=rng.uniform(0.001, 0.012),
+        level_noise_db=rng.uniform(0.5, 6),
+        walk_error=np.exp(rng.uniform(np.log(0.02), np.log(0.8))),
+        range_noise=np.exp(rng.uniform(np.log(3e-4), np.log(0.012))),
         range_scale=rng.uniform(0, 0.01),
         lost=rng.choice([0.0, rng.uniform(0, 0.06)]),
-        cross_talk=rng.choice([0.0, rng.uniform(0, 0.02)]),
+        cross_talk=rng.choice([0.0, np.exp(rng.uniform(np.log(5e-4), np.log(0.02)))]),
         stale=rng.choice([0.0, 0.0, rng.uniform(0, 0.5)]),
     )
 
@@ -187,14 +200,17 @@ def _preset_mounts() -> tuple[Float[ndarray, "sonars 3"], ...]:
     return tuple(Robot.load(name).mounts for name in preset_names())
 
 
-def random_robot(rng: np.random.Generator) -> Robot:
-    """A preset, an even ring, an uneven array, a fan to the front, or a few sonars, with a random transducer."""
+def random_robot(rng: np.random.Generator, most: int = 24) -> Robot:
+    """A preset, an even ring, an uneven array, a fan to the front, or a few sonars, with a random transducer.
+
+    Rings have up to ``most`` sonars.
+    """
     kind = rng.choice(["preset", "ring", "uneven", "front", "few"], p=[0.35, 0.15, 0.1, 0.1, 0.3])
     limits = (rng.uniform(0.1, 0.3), rng.choice([2.5, 3.0, 4.0, 5.0, 6.0, 10.0]))
     if kind == "preset":
         mounts = _preset_mounts()[rng.integers(0, len(_preset_mounts()))]
     else:
-        radius, count = rng.choice([0.0, rng.uniform(0.0, 0.35)]), int(rng.integers(8, 25))
+        radius, count = rng.choice([0.0, rng.uniform(0.0, 0.35)]), int(rng.integers(4 if most > 24 else 8, most + 1))
         if kind == "ring":
             axis = np.arange(count) * (2 * np.pi / count) + rng.choice([0.0, np.pi / count])
         elif kind == "uneven":

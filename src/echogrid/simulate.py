@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from echogrid.acoustics import Acoustics, Physics, acoustics
 from echogrid.echo import RAYS, Scene, first_echo
-from echogrid.geometry import compose
+from echogrid.geometry import compose, wrap
 from echogrid.log import Frame
 from echogrid.robot import Robot, Transducer
 from echogrid.world import World
@@ -58,7 +58,7 @@ def disturb(
         rng: the source of randomness.
     """
     scale = 1.0 + physics.range_scale * rng.standard_normal()
-    sigma = np.maximum(0.003, physics.range_noise * np.minimum(ranges, 100.0))
+    sigma = np.maximum(0.001, physics.range_noise * np.minimum(ranges, 100.0))
     out = ranges * scale + sigma * rng.standard_normal(ranges.shape)
     out = np.where(rng.random(ranges.shape) < physics.lost, np.inf, out)
     foreign = rng.random(ranges.shape) * np.minimum(ranges, max_range)
@@ -66,6 +66,31 @@ def disturb(
     stale = rng.random(ranges.shape) < physics.stale
     for i in range(1, len(out)):
         out[i] = np.where(stale[i], out[i - 1], out[i])
+    return out
+
+
+def passers_by(
+    ranges: Float[ndarray, "frames sonars"], sonars: Float[ndarray, "frames sonars 3"], rng: np.random.Generator
+) -> Float[ndarray, "frames sonars"]:
+    """Readings of a drive past which people walk: round, 0.4 m wide, heard within 15 degrees of the axis.
+
+    Args:
+        ranges: true ranges, m; inf = no echo.
+        sonars: where each sonar is and points, world frame, m and rad.
+        rng: the source of randomness.
+    """
+    out = ranges.copy()
+    frames = len(ranges)
+    for _ in range(rng.integers(1, 4)):
+        first, span = int(rng.integers(0, frames)), int(rng.integers(3, 25))
+        seen = slice(first, min(first + span, frames))
+        start = sonars[first, 0, :2] + rng.uniform(-2.0, 2.0, 2)
+        walk = start + np.arange(len(out[seen]))[:, None] * rng.normal(0, 0.15, 2)
+        to = walk[:, None] - sonars[seen, :, :2]
+        reach = np.maximum(np.hypot(to[..., 0], to[..., 1]) - 0.2, 0.05)
+        off = wrap(np.arctan2(to[..., 1], to[..., 0]) - sonars[seen, :, 2])
+        heard = (np.abs(off) < np.deg2rad(15.0)) & (rng.random(reach.shape) < 0.8)
+        out[seen] = np.where(heard, np.minimum(out[seen], reach), out[seen])
     return out
 
 

@@ -1,4 +1,4 @@
-"""Training the network by back-propagation, with checkpoints.
+"""Training by back-propagation, with checkpoints; and the paper's network, trained.
 
 The network answers each look by itself. The loss asks that each answer is right (the paper's training) and that
 their sum in log-odds, which is what the map will hold, is right: so the network learns how much its views repeat
@@ -8,10 +8,12 @@ each other.
 import hashlib
 import json
 import zipfile
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any, override
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +32,7 @@ from echogrid.interpret import ZONE, Layers, Network, inputs, look
 from echogrid.mapping import surrounding
 from echogrid.metrics import FREE, HIDDEN, SURFACE
 from echogrid.robot import Robot, robot_yaml
+from echogrid.set_network import SetNetwork
 
 PRIOR = 0.15
 """Share of surface among the points that single looks are trained on, about that of a local map."""
@@ -46,23 +49,61 @@ SINGLE_WEIGHT = 0.2
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """All that decides the weights, with the robot."""
+class AnyRecipe[E: tuple](ABC):
+    """All that decides the weights of a network, with the robot."""
 
     drives: int
     epochs: int
-    hidden: tuple[int, int] = (32, 16)
-    """Units of the two hidden layers."""
     batch: int = 12
     """Drives in a step of the optimiser."""
     learning_rate: float = 4e-3
     seed: int = 1
+
+    @abstractmethod
+    def told(self) -> dict[str, Any]:
+        """What the weights file says of it."""
+
+    @abstractmethod
+    def generate(self, robot: Robot | None, progress: bool) -> E:
+        """What to learn from: arrays whose leading axis is the drive."""
+
+    @abstractmethod
+    def restored(self, arrays: list[ndarray]) -> E:
+        """What ``generate`` made, from its arrays."""
+
+    @abstractmethod
+    def fit(self, examples: E, checkpoint: Path | None, key: str, progress: bool) -> Network | SetNetwork:
+        """Train on it, with the arguments of ``descend``."""
+
+
+@dataclass(frozen=True)
+class Recipe(AnyRecipe[Examples]):
+    """All that decides the weights of the paper's network, with the robot."""
+
+    hidden: tuple[int, int] = (32, 16)
+    """Units of the two hidden layers."""
     zone: int = ZONE
     """Sonars that the network reads for a point, at most MOST_ZONE."""
     squared_error: bool = False
     """Least squares, as when the paper was written, in place of cross-entropy."""
     through_map: bool = True
     """Train on the fused map and the single looks; False: on the single looks alone, as the paper does."""
+
+    @override
+    def told(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @override
+    def generate(self, robot: Robot | None, progress: bool) -> Examples:
+        return generate(robot, self.drives, self.seed, progress, self.zone)
+
+    @override
+    def restored(self, arrays: list[ndarray]) -> Examples:
+        return Examples(*arrays)
+
+    @override
+    def fit(self, examples: Examples, checkpoint: Path | None, key: str, progress: bool) -> Network:
+        return fit(examples, self, checkpoint, key, progress)
 
 
 def initial(rng: np.random.Generator, hidden: tuple[int, int], zone: int = ZONE) -> Layers:
@@ -127,19 +168,67 @@ def loss(
     return map_loss + SINGLE_WEIGHT * single_loss if through_map else single_loss
 
 
-def _schedule(recipe: Recipe, steps: int) -> optax.GradientTransformation:
-    rate = optax.warmup_cosine_decay_schedule(0.0, recipe.learning_rate, steps // 20, steps, 1e-5)
-    return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
-
-
-@partial(jax.jit, static_argnames=("optimiser", "recipe"))
-def _step(optimiser, recipe, layers, state, examples, index, flip, repeat):
-    batch = jax.tree.map(lambda v: v[index], examples)
-    value, gradient = jax.value_and_grad(loss)(
-        layers, batch, PRIOR, flip, repeat, recipe.squared_error, recipe.through_map
-    )
+@partial(jax.jit, static_argnames=("optimiser", "loss_of"))
+def _step(optimiser, loss_of, weights, state, batch, draw):
+    value, gradient = jax.value_and_grad(loss_of)(weights, batch, *draw)
     updates, state = optimiser.update(gradient, state)
-    return optax.apply_updates(layers, updates), state, value
+    return optax.apply_updates(weights, updates), state, value
+
+
+def descend(
+    weights: Any,
+    examples: tuple,
+    loss_of: Callable[..., Array],
+    draw: Callable[[np.random.Generator, int], tuple[ndarray | Array, ...]],
+    recipe: AnyRecipe,
+    checkpoint: Path | None = None,
+    key: str = "",
+    progress: bool = False,
+) -> tuple[Any, list[float]]:
+    """Bring a loss down by Adam, with a warm-up and a cosine decay.
+
+    Args:
+        weights: where to begin, a JAX pytree.
+        examples: a tuple of arrays whose leading axis is the drive.
+        loss_of: the loss of weights, a batch of the examples, and what ``draw`` drew for it.
+        draw: what is drawn at random for a batch of so many drives.
+        recipe: batch, epochs, learning rate and seed.
+        checkpoint: a file to which the state goes after each epoch and from which it is taken up again.
+        key: a checkpoint with another key is not taken up.
+        progress: show a bar where there is a terminal.
+
+    Returns:
+        The weights, and the mean loss of each epoch.
+    """
+    drives = len(examples[0])
+    per_epoch = max(1, drives // recipe.batch)
+    steps = per_epoch * recipe.epochs
+    rate = optax.warmup_cosine_decay_schedule(0.0, recipe.learning_rate, steps // 20, steps, 1e-5)
+    optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
+    state = optimiser.init(weights)
+    losses: list[float] = []
+    kept = _read_arrays(checkpoint, key) if checkpoint else None
+    if kept is not None:
+        losses = kept[0].tolist()
+        weights, state = jax.tree.unflatten(jax.tree.structure((weights, state)), kept[1:])
+    done = len(losses)
+    # Batches are taken by numpy: compiled, they cost a copy of all examples, for a CPU has no arithmetic of float16.
+    held = jax.tree.map(np.asarray, examples)
+    bar = tqdm(total=recipe.epochs, initial=done, desc="training", unit="epoch", disable=None if progress else True)
+    for epoch in range(done, recipe.epochs):
+        rng = np.random.default_rng([recipe.seed, epoch])
+        values = []
+        for index in np.array_split(rng.permutation(drives)[: per_epoch * recipe.batch], per_epoch):
+            batch = jax.tree.map(lambda v: v[index], held)  # noqa: B023
+            weights, state, value = _step(optimiser, loss_of, weights, state, batch, draw(rng, len(index)))
+            values.append(value)
+        losses.append(float(np.mean(values)))
+        bar.set_postfix(loss=f"{losses[-1]:.4f}")
+        bar.update()
+        if checkpoint is not None:
+            _write_arrays(checkpoint, key, [np.array(losses), *jax.tree.leaves((weights, state))])
+    bar.close()
+    return jax.tree.map(np.asarray, weights), [round(v, 4) for v in losses]
 
 
 def fit(
@@ -149,47 +238,32 @@ def fit(
     key: str = "",
     progress: bool = False,
 ) -> Network:
-    """Back-propagation over the examples.
+    """Back-propagation over the examples; see ``descend``.
 
-    Args:
-        examples: from ``generate``.
-        recipe: what to do; the same recipe and examples give the same weights.
-        checkpoint: a file to which the state goes after each epoch and from which it is taken up again.
-        key: a checkpoint with another key is not taken up.
-        progress: show a bar where there is a terminal.
+    The same recipe and examples give the same weights.
     """
-    drives = len(examples.label)
-    per_epoch = max(1, drives // recipe.batch)
-    optimiser = _schedule(recipe, per_epoch * recipe.epochs)
+
+    def draw(rng: np.random.Generator, count: int) -> tuple[ndarray, ndarray]:
+        return rng.random(count) < 0.5, np.exp(rng.uniform(0, np.log(REPEAT), count)).astype(np.float32)
+
     layers = initial(np.random.default_rng(recipe.seed), recipe.hidden, recipe.zone)
-    state = optimiser.init(layers)
-    losses: list[float] = []
-    kept = _read_arrays(checkpoint, key) if checkpoint else None
-    if kept is not None:
-        losses = kept[0].tolist()
-        layers, state = jax.tree.unflatten(jax.tree.structure((layers, state)), kept[1:])
-    done = len(losses)
-    held = jax.tree.map(jnp.asarray, examples)
-    bar = tqdm(total=recipe.epochs, initial=done, desc="training", unit="epoch", disable=None if progress else True)
-    for epoch in range(done, recipe.epochs):
-        rng = np.random.default_rng([recipe.seed, epoch])
-        values = []
-        for index in np.array_split(rng.permutation(drives)[: per_epoch * recipe.batch], per_epoch):
-            flip = rng.random(len(index)) < 0.5
-            repeat = np.exp(rng.uniform(0, np.log(REPEAT), len(index))).astype(np.float32)
-            layers, state, value = _step(optimiser, recipe, layers, state, held, index, flip, repeat)
-            values.append(value)
-        losses.append(float(np.mean(values)))
-        bar.set_postfix(loss=f"{losses[-1]:.4f}")
-        bar.update()
-        if checkpoint is not None:
-            _write_arrays(checkpoint, key, [np.array(losses), *jax.tree.leaves((layers, state))])
-    bar.close()
-    trained: Layers = [(np.asarray(w), np.asarray(b)) for w, b in layers]
-    return Network(trained, PRIOR, {"losses": [round(v, 4) for v in losses]})
+    loss_of = _LOSSES[recipe.squared_error, recipe.through_map]
+    layers, losses = descend(layers, examples, loss_of, draw, recipe, checkpoint, key, progress)
+    return Network(layers, PRIOR, {"losses": losses})
 
 
-def train(robot: Robot | None, recipe: Recipe, out: Path, progress: bool = False) -> Network:
+def _loss_of(squared_error: bool, through_map: bool) -> Callable[..., Array]:
+    def loss_of(layers: Layers, batch: Examples, flip: Array, repeat: Array) -> Array:
+        return loss(layers, batch, PRIOR, flip, repeat, squared_error, through_map)
+
+    return loss_of
+
+
+# One function each, so that a recipe of the same kind finds the compiled step.
+_LOSSES = {(a, b): _loss_of(a, b) for a in (False, True) for b in (False, True)}
+
+
+def train(robot: Robot | None, recipe: AnyRecipe, out: Path, progress: bool = False) -> Network | SetNetwork:
     """Make weights from nothing and write them; a stopped run is taken up again where it was.
 
     The drives and the state after each epoch wait in ``OUT.checkpoint.npz``, which is removed at the end.
@@ -205,19 +279,19 @@ def train(robot: Robot | None, recipe: Recipe, out: Path, progress: bool = False
     """
     if not out.parent.is_dir():
         raise UsageError(f"--out: found no folder {out.parent}, expected a file in a folder that exists")
-    told = {"robot": "any" if robot is None else robot_yaml(robot), **asdict(recipe), "echogrid": __version__}
+    told = {"robot": "any" if robot is None else robot_yaml(robot), **recipe.told(), "echogrid": __version__}
     key = hashlib.sha256(json.dumps(told).encode()).hexdigest()
     drives_file, checkpoint = out.with_suffix(".drives.npz"), out.with_suffix(".checkpoint.npz")
     kept = _read_arrays(drives_file, key)
     if kept is None:
         with replacing(checkpoint):
             pass  # where nothing can be written, say so before the work
-        examples = generate(robot, recipe.drives, recipe.seed, progress, recipe.zone)
+        examples = recipe.generate(robot, progress)
         _write_arrays(drives_file, key, examples)
     else:
-        examples = Examples(*kept)
-    network = fit(examples, recipe, checkpoint, key, progress)
-    network = Network(network.layers, network.prior, told | network.recipe)
+        examples = recipe.restored(kept)
+    network = recipe.fit(examples, checkpoint, key, progress)
+    network = replace(network, recipe=told | network.recipe)
     network.save(out)
     drives_file.unlink()
     checkpoint.unlink()

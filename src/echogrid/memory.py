@@ -1,0 +1,93 @@
+"""What the mapper remembers of a drive when it reads the next scan with the set network.
+
+Where it has looked from: what disturbs a sonar's view of smooth walls is decided by the pose and comes again in the
+next scan from there, so a robot that stands for a minute has looked once, not six hundred times. And what the
+surroundings are like: whether readings of neighbours agree or jump tells mirrors from rough walls.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from echogrid.geometry import wrap
+
+PLACE_M, TURN_RAD = 0.1, np.deg2rad(15.0)
+"""Poses in the same cell of this lattice see the same."""
+
+NEIGHBOUR_RAD = 0.35
+"""Readings of sonars are compared whose axes lie about so near to each other."""
+
+FAR_M = 4.0
+"""Readings beyond are all alike, no echo among them."""
+
+SAME_M = 0.08
+"""Readings farther apart do not agree."""
+
+FADE = 0.95
+"""What an earlier scan counts, for each scan since, in what the surroundings are like."""
+
+_LEAST = 0.01
+"""Neighbours that count less are none."""
+
+_PRIOR = 1e-3
+"""What counts for one half from the beginning."""
+
+TRAITS = 4
+"""Numbers that say what the surroundings are like."""
+
+
+class Recalled(NamedTuple):
+    """What scans are read with."""
+
+    weight: Float[ndarray, "scans"]
+    """What each counts: the n-th from one place and heading counts 1/n."""
+    traits: Float[ndarray, "scans traits"]
+    """Of the surroundings, each from 0 to 1: share of no echo, how far neighbours agree, how far apart they are,
+    how far all things are. 0.5 where nothing is known."""
+
+
+class Memory:
+    """Memory of one drive of one robot."""
+
+    def __init__(self, mounts: Float[ndarray, "sonars 3"]):
+        """A new drive.
+
+        Args:
+            mounts: of the sonars, m and rad.
+        """
+        self._count: dict[tuple[int, int, int], int] = {}
+        first, second = np.triu_indices(len(mounts), 1)
+        near = np.exp(-((wrap(mounts[first, 2] - mounts[second, 2]) / NEIGHBOUR_RAD) ** 2))
+        kept = near > _LEAST
+        self._pairs = first[kept], second[kept]
+        self._near = near[kept]
+        self._sums, self._counts = np.zeros(TRAITS), np.zeros(TRAITS)
+
+    def take(self, poses: Float[ndarray, "scans 3"], ranges: Float[ndarray, "scans sonars"]) -> Recalled:
+        """Add scans (m; inf = no echo, nan = not fired) at poses (m, rad), and say what they are to be read with."""
+        cell = np.column_stack([poses[:, :2] / PLACE_M, np.mod(poses[:, 2], 2 * np.pi) / TURN_RAD])
+        weight = np.empty(len(poses), dtype=np.float32)
+        for i, (x, y, turn) in enumerate(np.floor(cell).astype(np.int64).tolist()):
+            count = self._count[x, y, turn] = self._count.get((x, y, turn), 0) + 1
+            weight[i] = 1.0 / count
+        fired, echo = ~np.isnan(ranges), np.isfinite(ranges)
+        reading = np.where(fired, np.minimum(ranges, FAR_M), 0.0)
+        first, second = self._pairs
+        apart = np.abs(reading[:, first] - reading[:, second])
+        both = fired[:, first] & fired[:, second]
+        heard = echo[:, first] & echo[:, second]
+        counts = np.stack([fired.sum(axis=1), heard @ self._near, both @ self._near, fired.sum(axis=1)], axis=1)
+        sums = [
+            np.sum(fired & ~echo, axis=1),
+            (heard * np.maximum(1 - apart / SAME_M, 0.0)) @ self._near,
+            (both * np.minimum(apart, 1.0)) @ self._near,
+            np.sum(reading, axis=1) / FAR_M,
+        ]
+        traits = np.empty((len(poses), TRAITS), dtype=np.float32)
+        for i, (total, count) in enumerate(zip(np.stack(sums, axis=1), counts, strict=True)):
+            self._sums = FADE * self._sums + total
+            self._counts = FADE * self._counts + count
+            traits[i] = (self._sums + 0.5 * _PRIOR) / (self._counts + _PRIOR)
+        return Recalled(weight, traits)
