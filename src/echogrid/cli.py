@@ -69,7 +69,7 @@ class Map:
     """Preset or robot file. Default: the robot that the log describes, else b21 if the log has 24 sonars."""
     out: Path = Path("out")
     """Folder for the map."""
-    resolution: float | None = None
+    resolution: Annotated[float | None, arg(metavar="M")] = None
     """Side of a cell of the map, m. Default: 0.04 for the set network, else 0.12."""
     interpreter: str = "set-network"
     """set-network, network (the paper's), a weights file, or a classical model: cone, cone-no-echo, moravec-elfes,
