@@ -303,8 +303,7 @@ def _by_views(frames: Iterator[Frame], robot: Robot, network: SetNetwork, resolu
             for name, added in zip(SUMS, sums.result(), strict=True):
                 cells[name] += np.asarray(added)[:rows, :cols]
             cells["observed"] |= cells["occupied"] + cells["free"] > 0
-            log_odds = network.fuse(*(cells[name] for name in SUMS))
-            cells["log_odds"][:] = np.where(cells["observed"], log_odds, 0.0)
+            cells["log_odds"][:] = network.fuse(*(cells[name] for name in SUMS))
             return grown.grid()
 
         for batch in _near_each_other(frames):

@@ -409,7 +409,7 @@ class SetNetwork:
     ) -> Float[ndarray, "rows cols"]:
         """``fused``, for the cells of a map, and CAUTION besides where anything is known."""
         total = fused(self.weights, occupied, free, occupied2, free2, np)
-        return total + CAUTION * np.tanh(np.abs(total))
+        return np.where(occupied + free > 0, total + CAUTION * np.tanh(np.abs(total)), np.float32(0))
 
     def save(self, path: str | Path) -> None:
         """Write the weights and their recipe (NPZ, no pickle)."""
@@ -430,10 +430,16 @@ class SetNetwork:
         try:
             recipe = json.loads(str(data.pop("recipe")))
             units = data["b1"].size
-        except (KeyError, ValueError):
-            recipe, units = {}, 0
+        except (KeyError, ValueError, RecursionError):
+            recipe, units = None, 0
         shapes = {name: value.shape for name, value in initial(np.random.default_rng(0), max(units, 1)).items()}
         fits = {name: value.shape for name, value in data.items()} == shapes
-        if not fits or not all(v.dtype.kind == "f" and np.isfinite(v).all() for v in data.values()):
-            raise InputError(path, "weights of other shapes, or not finite", "the arrays of a set network")
+        if (
+            not isinstance(recipe, dict)
+            or not fits
+            or not all(v.dtype.kind == "f" and np.isfinite(v).all() for v in data.values())
+        ):
+            raise InputError(
+                path, "weights of other shapes, not finite, or without a recipe", "the arrays of a set network"
+            )
         return SetNetwork(data, recipe, Path(path).stem)
