@@ -790,7 +790,7 @@ def heard(
 
 def arrays(study: Study) -> None:
     """Scores with other arrays; and what weights trained for one array gain."""
-    places, count, models = ("smooth", "mixed"), study.rooms or 5, study.beside("network")
+    places, count, models = ("smooth", "mixed"), study.rooms or 4, study.beside("network")
     tours: dict[float, list[tuple[int, World, ndarray]]] = {}
     jobs: list[tuple] = []
     for name, sonars in arrays_of().items():
