@@ -11,12 +11,13 @@ PACKAGE = Path(echogrid.__file__).parent
 
 # A module imports only from modules to its left.
 ORDER = [
-    *("errors", "geometry", "regions", "files", "robot", "world", "acoustics", "rooms", "log"),
-    *("readers.lines", "readers.csv_log", "readers.carmen", "readers"),
+    *("errors", "geometry", "regions", "files", "robot", "world", "acoustics", "rooms", "log", "transforms", "scans"),
+    *("readers.lines", "readers.csv_log", "readers.carmen", "readers.bag", "readers"),
     *("grid", "metrics", "drive", "echo", "simulate", "memory", "interpret", "set_network", "beam"),
     *("classical", "calculi", "em", "models", "mapping"),
     *("examples", "lessons", "train", "set_training"),
-    *("picture", "mapfile", "cli"),
+    *("picture", "mapfile", "recording", "page", "viewer", "live", "dds"),
+    *("cli.arguments", "cli.maps", "cli.simulation", "cli.live", "cli"),
 ]
 
 
@@ -65,7 +66,7 @@ def test_importing_the_package_imports_none_of_its_modules():
     assert list(imported(ast.Module(run, []))) == []
 
 
-@pytest.mark.parametrize("name", [name for name in ORDER if name != "cli"])
+@pytest.mark.parametrize("name", [name for name in ORDER if name.split(".")[0] != "cli"])
 def test_the_library_neither_prints_nor_exits(name):
     said = calls(TREES[name]) & {"print", "pprint", "sys.stdout.write", "sys.stderr.write"}
     left = calls(TREES[name]) & {"sys.exit", "exit", "quit", "os._exit", "SystemExit"}

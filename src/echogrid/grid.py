@@ -38,6 +38,8 @@ class Grid:
     """Side of a cell, m."""
     origin: tuple[float, float]
     """World x, y of the lower left corner of cell [0, 0], m."""
+    views: Int[ndarray, "rows cols"] | None = None
+    """Scans that spoke of each cell, where they were counted."""
 
     @property
     def shape(self) -> tuple[int, int]:

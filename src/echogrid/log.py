@@ -28,6 +28,9 @@ class Frame:
     """One reading a sonar, m, in the order of the robot's mounts."""
     odom: Float[ndarray, "3"] | None = None
     """Dead-reckoned pose where the log has one besides the pose, same units."""
+    mounts: Float[ndarray, "sonars 3"] | None = None
+    """Where each sonar was when it fired, as seen from ``pose``: m, m, rad. None: all fired at the stamp, from
+    the robot's own mounts."""
 
 
 @dataclass(frozen=True)

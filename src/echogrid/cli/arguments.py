@@ -1,0 +1,68 @@
+"""What several commands take: a log with its robot, a world, physics, a seed; and their progress bar."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import fields
+from importlib import resources
+
+from tqdm import tqdm
+from tyro.conf import arg
+
+from echogrid.acoustics import BEAMS, Physics
+from echogrid.errors import UsageError
+from echogrid.log import Log
+from echogrid.readers import load_log
+from echogrid.robot import Robot, preset_names
+from echogrid.world import world_names
+
+WORLD = arg(metavar="WORLD", help=f"World file, or a shipped one: {', '.join(world_names())}.")
+
+
+def open_log(log_file: str | None, robot_name: str | None) -> tuple[Log, Robot, bool]:
+    """The log, the robot to map it with, and whether the user or the log named that robot."""
+    if log_file is None:
+        robot = Robot.load(robot_name or "b21")
+        return load_log(str(resources.files("echogrid") / "data" / "sample.csv"), robot), robot, True
+    if robot_name is not None:
+        robot = Robot.load(robot_name)
+        return load_log(log_file, robot), robot, True
+    log = load_log(log_file)
+    if log.robot is not None:
+        return log, log.robot, True
+    robot = Robot.load("b21")
+    if log.sonars != robot.sonars:
+        fits = [name for name in preset_names() if Robot.load(name).sonars == log.sonars]
+        known = f" (presets with {log.sonars}: {', '.join(fits)})" if fits else ""
+        raise UsageError(f"{log.name}: found {log.sonars} sonars, expected --robot to say where they sit{known}")
+    return load_log(log_file, robot), robot, False
+
+
+def bar[T](items: Iterable[T], what: str, unit: str, total: int | None = None) -> Iterator[T]:
+    """A progress bar round an iterable; silent where there is no terminal."""
+    return iter(tqdm(items, desc=what, unit=unit, total=total, disable=None, leave=False))
+
+
+_PHYSICS_LIMITS = {
+    "temperature_c": (-50.0, 60.0),
+    "humidity_percent": (0.0, 100.0),
+    "facet_slope_deg": (0.1, 80.0),
+    **dict.fromkeys(("walk_error", "range_noise", "range_scale", "lost", "cross_talk", "stale"), (0.0, 1.0)),
+}
+_LEVEL_LIMITS_DB = (-200.0, 200.0)
+"""Of all other fields of Physics."""
+
+
+def check_physics(physics: Physics) -> None:
+    """Refuse physics that cannot be."""
+    if physics.beam not in BEAMS:
+        raise UsageError(f"--physics.beam: found {physics.beam}, expected {', '.join(BEAMS)}")
+    for name in (item.name for item in fields(physics) if item.name != "beam"):
+        value, (low, high) = getattr(physics, name), _PHYSICS_LIMITS.get(name, _LEVEL_LIMITS_DB)
+        if not low <= value <= high:
+            shown = name.replace("_", "-")
+            raise UsageError(f"--physics.{shown}: found {value:g}, expected {low:g} to {high:g}")
+
+
+def check_seed(seed: int) -> None:
+    """Refuse a seed below 0."""
+    if seed < 0:
+        raise UsageError(f"--seed: found {seed}, expected 0 or more")

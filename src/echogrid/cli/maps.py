@@ -1,0 +1,159 @@
+"""Commands about logs and maps: map, info, score."""
+
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, is_dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from tyro.conf import Positional, arg
+
+from echogrid.cli.arguments import bar, open_log
+from echogrid.errors import InputError, UsageError
+from echogrid.files import made
+from echogrid.log import Frame, describe
+from echogrid.readers import load_log
+from echogrid.robot import Robot, robot_yaml
+
+
+class _Path:
+    """The drive of a log of any length, kept to a bounded number of points for the picture."""
+
+    _MOST = 4000
+
+    def __init__(self) -> None:
+        self._points: list[tuple[float, float]] = []
+        self._spacing = 0.02
+
+    def add(self, frame: Frame) -> None:
+        x, y = float(frame.pose[0]), float(frame.pose[1])
+        if self._points and np.hypot(x - self._points[-1][0], y - self._points[-1][1]) < self._spacing:
+            return
+        self._points.append((x, y))
+        if len(self._points) > self._MOST:
+            self._points = self._points[::2]
+            self._spacing *= 2
+
+    def points(self) -> Float[ndarray, "n 2"]:
+        return np.array(self._points).reshape(-1, 2)
+
+
+@dataclass(frozen=True)
+class Map:
+    """Map a log: sonar ranges and poses in, an occupancy map out.
+
+    Writes map.png (to look at), map.pgm + map.yaml (for ROS map_server), map.npz (log-odds) and run.yaml
+    (what was done). Without LOG it maps the sample that ships with echogrid, a simulated drive of a B21.
+    """
+
+    log: Annotated[Positional[str | None], arg(metavar="[LOG]")] = None
+    """CSV or CARMEN log."""
+    robot: Annotated[str | None, arg(metavar="NAME|FILE")] = None
+    """Preset or robot file. Default: the robot that the log describes, else b21 if the log has 24 sonars."""
+    out: Path = Path("out")
+    """Folder for the map."""
+    resolution: Annotated[float | None, arg(metavar="M")] = None
+    """Side of a cell of the map, m. Default: 0.04 for the set network, else 0.12."""
+    interpreter: str = "set-network"
+    """set-network, network (the paper's), a weights file, or a classical model: cone, cone-no-echo, moravec-elfes,
+    elfes, nav2, nav2-clearing, nav2-tuned, himm, muriel, dempster-shafer, fuzzy, lim-cho, em."""
+    refine: bool = False
+    """Clean the finished map with a 3x3 neighbourhood mask."""
+
+    def run(self) -> None:
+        """Map the log and write the folder."""
+        from echogrid.interpret import Network
+        from echogrid.mapfile import write_map
+        from echogrid.mapping import build_map
+        from echogrid.models import sensor_model
+        from echogrid.set_network import SetNetwork
+
+        if self.resolution is not None and not 0.005 <= self.resolution <= 10:
+            raise UsageError(f"--resolution: found {self.resolution:g}, expected 0.005 to 10 m")
+        log, robot, named = open_log(self.log, self.robot)
+        model = sensor_model(self.interpreter)
+        path, count, grid = _Path(), 0, None
+
+        def frames() -> Iterator[Frame]:
+            nonlocal count
+            for frame in bar(log, "mapping", "scan"):
+                path.add(frame)
+                count += 1
+                yield frame
+
+        begin = time.perf_counter()
+        with made(self.out):  # a folder that cannot be made is found now, not after the mapping
+            for step in build_map(frames(), robot, model, self.resolution):
+                grid = step
+            if grid is None:
+                raise InputError(log.name, "no frames", "at least one")
+            seconds = time.perf_counter() - begin
+            if self.refine:
+                grid = grid.refined()
+            settings = asdict(self) | {"log": log.name, "robot": robot_yaml(robot), "frames": count}
+            settings["resolution"] = grid.resolution
+            if isinstance(model, Network | SetNetwork):
+                settings |= {"weights": model.recipe}
+            elif is_dataclass(model) and not isinstance(model, type):
+                settings |= {"parameters": asdict(model)}
+            title = f"{Path(log.name).name}, {robot.name}, {model.name}"
+            write_map(self.out, grid, path.points(), settings, title)
+        if not named:
+            print(f"robot: {robot.name}, as none was named", file=sys.stderr)
+        rows, cols = grid.shape
+        size = f"{cols * grid.resolution:.1f} x {rows * grid.resolution:.1f} m"
+        print(f"{log.name}: {count} scans of {robot.name} in {seconds:.1f} s; map of {size} in {self.out}/map.png")
+
+
+@dataclass(frozen=True)
+class Info:
+    """Say what is in a log."""
+
+    log: Annotated[Positional[Path], arg(metavar="LOG")]
+    """CSV or CARMEN log."""
+    robot: Annotated[str | None, arg(metavar="NAME|FILE")] = None
+    """Preset or robot file, for its range limits. Without it, readings count as they are."""
+
+    def run(self) -> None:
+        """Print what is in the log."""
+        log = load_log(self.log, Robot.load(self.robot) if self.robot else None)
+        info = describe(log)
+        x0, y0, x1, y1 = info.box_m
+        print(f"log           {info.name}")
+        print(f"frames        {info.frames}")
+        print(f"sonars        {info.sonars}")
+        rate = f", {(info.frames - 1) / info.span_s:.1f} Hz" if info.span_s > 0 else ""
+        print(f"span          {info.span_s:.2f} s{rate}")
+        print(f"drive         {info.length_m:.2f} m within x {x0:.2f} .. {x1:.2f}, y {y0:.2f} .. {y1:.2f} m")
+        print(f"no echo       {info.no_echo:.1%}")
+        print(f"not fired     {info.not_fired:.1%}")
+        print(f"stale         {info.stale:.1%} of the finite readings repeat the one before")
+        ranges = f"{info.nearest_m:.3f} .. {info.farthest_m:.3f} m, median {info.median_m:.2f} m"
+        print(f"ranges        {'none' if np.isnan(info.median_m) else ranges}")
+        print("no echo of    " + " ".join(f"r{i} {v:.0%}" for i, v in enumerate(info.no_echo_by_sonar)))
+
+
+@dataclass(frozen=True)
+class Score:
+    """Score a map against a truth grid.
+
+    found, wiped: surface cells that the map shows, or shows as free; free: free cells shown free; false: free
+    cells shown occupied; auc, nll, brier, ece: how well the probabilities tell surface from free.
+    """
+
+    map: Annotated[Positional[Path], arg(metavar="MAP")]
+    """Map folder, map.npz or map_server map.yaml."""
+    truth: Annotated[Positional[Path], arg(metavar="TRUTH")]
+    """Truth grid (.npz)."""
+
+    def run(self) -> None:
+        """Print the scores."""
+        from echogrid.mapfile import read_map, read_truth
+        from echogrid.metrics import score
+
+        for name, value in asdict(score(read_map(self.map), read_truth(self.truth))).items():
+            print(f"{name:13} {value}" if isinstance(value, int) else f"{name:13} {value:.4f}")
