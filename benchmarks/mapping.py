@@ -17,7 +17,7 @@ import numpy as np
 from echogrid import Log, Robot, World, build_map, load_log
 from echogrid.drive import tour
 from echogrid.log import Frame
-from echogrid.mapping import WINDOW_M
+from echogrid.mapper import WINDOW_M
 from echogrid.models import sensor_model
 from echogrid.readers.csv_log import write_csv
 from echogrid.simulate import Simulator

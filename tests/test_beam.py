@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from echogrid.beam import Reading, margin_cells, reading_of, square_side, sweeper
 from echogrid.log import Frame
-from echogrid.mapping import WINDOW_M, build_map
+from echogrid.mapper import WINDOW_M
+from echogrid.mapping import build_map
 from echogrid.robot import TRANSDUCERS, Robot
 
 B21 = Robot.load("b21")

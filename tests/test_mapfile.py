@@ -17,7 +17,7 @@ from echogrid import mapfile
 from echogrid.errors import EchogridError, InputError, UsageError
 from echogrid.files import replacing
 from echogrid.grid import P_MAX, P_MIN, Grid, logit, sigmoid
-from echogrid.mapfile import read_map, read_truth, write_map, write_truth
+from echogrid.mapfile import occupancy, read_map, read_truth, write_map, write_truth
 from echogrid.metrics import Truth
 
 FILES = {"map.pgm", "map.yaml", "map.png", "map.npz", "run.yaml"}
@@ -206,6 +206,119 @@ def test_map_server_takes_each_of_our_pixels_for_what_it_stands_for(tmp_path):
     assert free < info["free_thresh"]
     for unknown in ((255 - 205) / 255, 1 - 205 / 255):  # ROS 1 and Nav2 round differently
         assert info["free_thresh"] <= unknown <= info["occupied_thresh"]
+
+
+CAUTION = "# Probabilities: Nav2 sees walls only with lethal_cost_threshold: 66"
+
+
+@pytest.mark.parametrize(("mode", "occupied_thresh", "free_thresh"), [("scale", 1.0, 0.0), ("raw", 0.65, 0.25)])
+def test_map_yaml_names_the_mode_and_says_what_nav2_needs_for_it(tmp_path, mode, occupied_thresh, free_thresh):
+    write_map(tmp_path, a_grid(), PATH, {}, mode=mode)
+    text = (tmp_path / "map.yaml").read_text()
+    info = yaml.safe_load(text)
+    assert text.splitlines()[0] == CAUTION
+    assert (info["mode"], info["negate"]) == (mode, 0)
+    assert (info["occupied_thresh"], info["free_thresh"]) == (occupied_thresh, free_thresh)
+
+
+# What map_server makes of the pixels, as its pages and sources state it: Nav2 (docs.nav2.org and map_io.cpp), ROS 1
+# as it is (1 + 98 ratio, cut off) and ROS 1 as its wiki says (99 ratio). A PGM has no alpha, so all is opaque.
+
+
+def grey_of(image):
+    """Rows of pixels from the lowest y up, and the settings beside them."""
+    info = yaml.safe_load((image.parent / "map.yaml").read_text())
+    return plain_pgm(image.read_bytes())[::-1], info
+
+
+def nav2_cell(pixel, info):
+    shade = pixel / 255
+    if info["mode"] == "raw":
+        return round(shade * 255) if round(shade * 255) <= 100 else -1
+    occ = shade if info["negate"] else 1 - shade
+    if occ > info["occupied_thresh"]:
+        return 100
+    if occ < info["free_thresh"]:
+        return 0
+    if info["mode"] == "trinary":
+        return -1
+    return round((occ - info["free_thresh"]) / (info["occupied_thresh"] - info["free_thresh"]) * 100)
+
+
+def ros1_cell(pixel, info, stretch):
+    value = 255 - pixel if info["negate"] else pixel
+    if info["mode"] == "raw":
+        return value if value < 128 else value - 256  # an unsigned byte into one with a sign
+    occ = (255 - value) / 255
+    if occ > info["occupied_thresh"]:
+        return 100
+    if occ < info["free_thresh"]:
+        return 0
+    if info["mode"] == "trinary":
+        return -1
+    return int(stretch((occ - info["free_thresh"]) / (info["occupied_thresh"] - info["free_thresh"])))
+
+
+READERS = {
+    "nav2": nav2_cell,
+    "ros1": lambda pixel, info: ros1_cell(pixel, info, lambda ratio: 1 + 98 * ratio),
+    "ros1-wiki": lambda pixel, info: ros1_cell(pixel, info, lambda ratio: 99 * ratio),
+}
+
+
+@given(
+    arrays(float, st.tuples(st.integers(1, 9), st.integers(1, 9)), elements=st.floats(0, 1)),
+    st.sampled_from(["trinary", "scale", "raw"]),
+    st.data(),
+)
+@many
+def test_every_reader_of_the_pair_finds_what_the_map_says(tmp_path, p, mode, data):
+    edges = st.sampled_from([0.2499, 0.25, 0.2501, 0.2549, 0.6499, 0.65, 0.6501, 0.6549])
+    p[0, 0] = data.draw(edges)
+    observed = data.draw(arrays(bool, p.shape))
+    grid = Grid(logit(np.clip(p, 0.001, 0.999)).astype(np.float32), observed, 0.1, (0.0, 0.0))
+    check_every_reader(tmp_path, grid, mode)
+
+
+@pytest.mark.parametrize("mode", ["trinary", "scale", "raw"])
+def test_every_reader_agrees_at_a_thousand_probabilities(tmp_path, mode):
+    p = np.linspace(0.0005, 0.9995, 1000).reshape(2, -1).repeat(2, axis=0)
+    observed = np.arange(4) % 2 == 0
+    grid = Grid(logit(p).astype(np.float32), np.broadcast_to(observed[:, None], p.shape).copy(), 0.1, (0.0, 0.0))
+    check_every_reader(tmp_path, grid, mode)
+
+
+def check_every_reader(folder, grid, mode):
+    write_map(folder, grid, NO_PATH, {}, mode=mode)
+    pixels, info = grey_of(folder / "map.pgm")
+    expected = occupancy(grid)
+    p = grid.probability()
+    for cell_of in READERS.values():
+        cells = np.array([[cell_of(pixel, info) for pixel in row] for row in pixels])
+        if mode == "trinary":
+            np.testing.assert_array_equal(cells, expected)
+            continue
+        lost = 50 if mode == "scale" else -1  # scale calls only transparent pixels unknown
+        classes = np.where(cells < 0, -1, np.where(cells >= 66, 100, np.where(cells <= 24, 0, -1)))
+        np.testing.assert_array_equal(classes, expected)
+        percent = np.where(grid.observed, 100 * p, lost)
+        assert np.max(np.abs(cells - percent)) <= (2.5 if mode == "scale" else 2)
+    ours = read_map(folder / "map.yaml")
+    nav2 = np.array([[nav2_cell(pixel, info) for pixel in row] for row in pixels])
+    np.testing.assert_array_equal(ours.observed, nav2 >= 0)
+    shown = np.where(nav2 >= 0, np.clip(nav2 / 100, P_MIN, P_MAX), 0.5)
+    np.testing.assert_allclose(ours.probability(), shown, atol=1e-6)
+
+
+@given(arrays(float, st.tuples(st.integers(1, 9), st.integers(1, 9)), elements=st.floats(0, 1)), st.data())
+@many
+def test_the_occupancy_message_says_what_the_map_says(p, data):
+    observed = data.draw(arrays(bool, p.shape))
+    grid = Grid(logit(np.clip(p, 0.001, 0.999)).astype(np.float32), observed, 0.1, (0.0, 0.0))
+    cells = occupancy(grid)
+    assert cells.dtype == np.int8
+    for cell, probability, seen in zip(cells.flat, grid.probability().flat, observed.flat, strict=True):
+        assert cell == (-1 if not seen else 100 if probability > 0.65 else 0 if probability < 0.25 else -1)
 
 
 EDGES = {"free_thresh": 0.25, "occupied_thresh": 0.75}

@@ -12,13 +12,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from echogrid import mapping, set_network
+from echogrid import mapper, set_network
 from echogrid.errors import EchogridError, InputError, UsageError
 from echogrid.geometry import wrap
 from echogrid.interpret import LOOK_RAD, Layers, Network, inputs
 from echogrid.lessons import Lessons
 from echogrid.log import Frame
-from echogrid.mapping import BATCH, FINE_CELL_M, WINDOW_M, build_map, cell_of
+from echogrid.mapper import BATCH, FINE_CELL_M, WINDOW_M
+from echogrid.mapping import build_map, cell_of
 from echogrid.memory import FAR_M, TRAITS, Memory
 from echogrid.models import sensor_model
 from echogrid.robot import Robot
@@ -597,7 +598,7 @@ def wandering(count):
 def test_the_map_does_not_depend_on_what_is_interpreted_together(monkeypatch):
     frames = wandering(BATCH + 9)
     whole = on_world(map_of(frames))
-    monkeypatch.setattr(mapping, "BATCH", 20)
+    monkeypatch.setattr(mapper, "BATCH", 20)
     other = on_world(map_of(frames))
     np.testing.assert_allclose(other[0], whole[0], atol=1e-3)
     assert np.mean(other[1] != whole[1]) < 1e-4
@@ -627,7 +628,7 @@ def test_the_map_is_the_sum_of_its_views_and_each_counts_what_the_memory_says():
 
 def test_the_cells_of_its_map_are_fine_unless_others_are_asked_for(monkeypatch):
     asked = []
-    monkeypatch.setattr(mapping, "GrowingGrid", lambda resolution, _: asked.append(resolution))
+    monkeypatch.setattr(mapper, "GrowingGrid", lambda resolution, _: asked.append(resolution))
     for resolution in (None, COARSE_M):
         assert list(build_map([], ROBOT, plain_network(), resolution)) == []
     assert asked == [FINE_CELL_M, COARSE_M]

@@ -216,11 +216,48 @@ class GrowingGrid:
         cells["log_odds"] += evidence
         cells["observed"] |= spoken
 
-    def grid(self) -> Grid:
-        """The part of the map that has been reserved so far, as views of the arrays (not copies)."""
+    def overlap(self, corner: Int[ndarray, "2"], shape: tuple[int, int]) -> tuple[Layers, tuple[slice, slice]]:
+        """The layers of the part of a rectangle that was reserved, as views, and where in the rectangle it lies.
+
+        Args:
+            corner: its first cell [row, col], counted from the world's origin.
+            shape: its rows and columns.
+        """
         if not self._layers["log_odds"].size:
-            return Grid(self._layers["log_odds"], self._layers["observed"], self.resolution, (0.0, 0.0))
+            return self._layers, (slice(0, 0), slice(0, 0))
+        low = np.clip(self._low, corner, corner + shape)
+        high = np.clip(self._high, low, corner + shape)
+        rows, cols = (int(n) for n in high - low)
+        row, col = (int(n) for n in low - corner)
+        return self.window(low, (rows, cols)), (slice(row, row + rows), slice(col, col + cols))
+
+    def part(self, corner: Int[ndarray, "2"], shape: tuple[int, int]) -> Grid:
+        """A rectangle of the map, a copy; nobody has spoken of what lies outside of what was reserved.
+
+        Args:
+            corner: as for ``overlap``.
+            shape: likewise.
+        """
+        cells, place = self.overlap(corner, shape)
+        copied = {name: np.zeros(shape, dtype=cells[name].dtype) for name in ("log_odds", "observed")}
+        for name, layer in copied.items():
+            layer[place] = cells[name]
+        x, y = (float(v) for v in corner[::-1] * self.resolution)
+        return Grid(copied["log_odds"], copied["observed"], self.resolution, (x, y))
+
+    def layers(self) -> Layers:
+        """All layers of the part of the map that has been reserved so far, as views to read and to write."""
+        if not self._layers["log_odds"].size:
+            return self._layers
         rows, cols = (int(n) for n in self._high - self._low)
-        cells = self.window(self._low, (rows, cols))
-        origin = self._low[::-1] * self.resolution
-        return Grid(cells["log_odds"], cells["observed"], self.resolution, (float(origin[0]), float(origin[1])))
+        return self.window(self._low, (rows, cols))
+
+    def grid(self) -> Grid:
+        """The part of the map that has been reserved so far, as views of the arrays (not copies).
+
+        A layer named ``views`` is that of the grid.
+        """
+        cells = self.layers()
+        origin = self._low[::-1] * self.resolution if cells["log_odds"].size else np.zeros(2)
+        x, y = (float(v) for v in origin)
+        return Grid(cells["log_odds"], cells["observed"], self.resolution, (x, y), cells.get("views"))

@@ -1,7 +1,7 @@
 """Frames and logs: the one form in which readings enter, recorded or simulated."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import batched
 
 import numpy as np
@@ -46,6 +46,8 @@ class Log:
     log itself describes (CARMEN), else None."""
     open: Callable[[], Iterator[Frame]]
     """Starts again at the first frame."""
+    notes: dict[str, int] = field(default_factory=dict)
+    """What was left out or assumed when the log was last gone through, and how often; 0 where that says nothing."""
 
     def __iter__(self) -> Iterator[Frame]:
         return self.open()

@@ -7,11 +7,11 @@ from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 import yaml
-from jaxtyping import Float, Integer, UInt8
+from jaxtyping import Float, Int8, Integer, UInt8
 from numpy import ndarray
 
 from echogrid.errors import EchogridError, InputError, UsageError
@@ -20,9 +20,6 @@ from echogrid.grid import MAX_CELLS, P_MAX, P_MIN, Grid, logit
 from echogrid.metrics import FREE, HIDDEN, SURFACE, Truth
 from echogrid.picture import draw_map
 from echogrid.robot import Keys, as_number, parse_yaml
-
-if TYPE_CHECKING:
-    pass
 
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.25
 """A cell above the first is drawn occupied, one below the second free: the defaults of Nav2's map_saver."""
@@ -34,6 +31,24 @@ always wrote 0.196, and Nav2 does since its pull request 5278 (2025)."""
 
 PIXEL_OCCUPIED, PIXEL_UNKNOWN, PIXEL_FREE = 0, 205, 254
 """Grey values of map_saver."""
+
+PgmMode = Literal["trinary", "scale", "raw"]
+"""How map_server is to take the pixels of map.pgm."""
+
+_YAML_THRESH: dict[PgmMode, tuple[float, float]] = {
+    "trinary": (OCCUPIED_THRESH, YAML_FREE_THRESH),
+    "scale": (1.0, 0.0),
+    "raw": (OCCUPIED_THRESH, FREE_THRESH),
+}
+"""``occupied_thresh`` and ``free_thresh`` of map.yaml. In mode scale a reader stretches what lies between them over
+0 to 100, and with these it leaves the probability as it is; in mode raw it looks at neither."""
+
+_PERCENT_FREE, _PERCENT_BETWEEN, _PERCENT_OCCUPIED = (0, 24), (26, 65), (67, 100)
+"""Percent by which modes scale and raw show a cell of each class. A reader that finds 66 or more occupied and 24 or
+less free finds the same classes as in mode trinary, and so it does by ROS 1, which rounds down in mode scale."""
+
+_PERCENT_UNKNOWN = 255
+"""The pixel of an unknown cell in mode raw."""
 
 MAX_FILE_BYTES = 10 * MAX_CELLS
 """No map or truth of MAX_CELLS cells needs more; a longer file is something else."""
@@ -47,14 +62,17 @@ def write_map(
     path_world: Float[ndarray, "poses _"],
     settings: Mapping[str, Any],
     title: str = "",
+    mode: PgmMode = "trinary",
 ) -> None:
     """Write a map into a folder (made if need be): map.pgm, map.yaml, map.png, map.npz and run.yaml.
 
     Each file is complete under a temporary name before the first takes its place; when anything fails before
     that, the folder is as it was. Files of the same names are replaced.
 
-    - map.pgm + map.yaml: the pair of ROS's map_server, trinary. Occupied where p > 0.65, free where p < 0.25,
-      unknown elsewhere and where no view spoke.
+    - map.pgm + map.yaml: the pair of ROS's map_server. In mode trinary occupied where p > 0.65, free where
+      p < 0.25, unknown elsewhere and where no view spoke. In modes scale and raw the probability in percent (2 off
+      at most), the same three classes apart at 25 and 66; where no view spoke it is unknown in mode raw and 50 in
+      mode scale, for there only a transparent pixel is unknown and a PGM has none.
     - map.png: the map with the drive, for people; cut to what was observed.
     - map.npz: ``log_odds`` float32 and ``observed`` bool, both [row, col] with row 0 the lowest y,
       ``resolution`` (m) and ``origin`` (x, y of the lower left corner of cell [0, 0], m). The log-odds are
@@ -67,6 +85,7 @@ def write_map(
         path_world: the drive: x, y (m, world) in the first two columns, one row a pose; may have no rows.
         settings: what is needed to repeat the run; values that YAML lacks are written as text.
         title: the heading of the picture.
+        mode: of map.pgm.
 
     Raises:
         UsageError: the map has no cells or has nan among its log-odds, or the folder cannot be written.
@@ -79,8 +98,8 @@ def write_map(
     # Renamed from the last to the first when all are written; run.yaml, which speaks for the rest, is last.
     writers: dict[str, Callable[[Path], object]] = {
         "run.yaml": lambda new: new.write_text(_run_yaml(settings), encoding="utf-8"),
-        "map.yaml": lambda new: new.write_text(_map_yaml(grid), encoding="utf-8"),
-        "map.pgm": lambda new: new.write_bytes(_pgm(_trinary(grid))),
+        "map.yaml": lambda new: new.write_text(_map_yaml(grid, mode), encoding="utf-8"),
+        "map.pgm": lambda new: new.write_bytes(_pgm(_PIXELS[mode](grid))),
         "map.npz": lambda new: _save_npz(new, log_odds=log_odds, observed=grid.observed, **_place(grid)),
         "map.png": lambda new: draw_map(new, grid, path_world, title),
     }
@@ -88,6 +107,21 @@ def write_map(
     with made(folder), ExitStack() as stack:
         for name, write in writers.items():
             write(stack.enter_context(replacing(folder / name)))
+
+
+def occupancy(grid: Grid) -> Int8[ndarray, "rows cols"]:
+    """The map as the data of ROS's ``nav_msgs/OccupancyGrid``: 100 occupied, 0 free, -1 unknown; row 0 lowest y.
+
+    Occupied where observed and p > OCCUPIED_THRESH, free where observed and p < FREE_THRESH, else unknown: the
+    same three classes as map.pgm. Not the probabilities in percent, though the message could hold them: Nav2's
+    static layer and ROS 1's costmap_2d read a map as trinary unless told otherwise, and then take every value
+    below ``lethal_cost_threshold`` (100) that is not unknown for free, a wall of 0.9 as well.
+    """
+    p = grid.probability()
+    data = np.full(grid.shape, -1, dtype=np.int8)
+    data[grid.observed & (p > OCCUPIED_THRESH)] = 100
+    data[grid.observed & (p < FREE_THRESH)] = 0
+    return data
 
 
 def read_map(path: str | Path) -> Grid:
@@ -351,24 +385,47 @@ def _pgm(pixels: UInt8[ndarray, "rows cols"]) -> bytes:
 
 
 def _trinary(grid: Grid) -> UInt8[ndarray, "rows cols"]:
+    return np.array([PIXEL_FREE, PIXEL_OCCUPIED, PIXEL_UNKNOWN], dtype=np.uint8)[np.sign(occupancy(grid))]
+
+
+def _raw(grid: Grid) -> UInt8[ndarray, "rows cols"]:
+    """The probability in percent, on the same side of both thresholds as it was."""
     p = grid.probability()
-    pixels = np.full(grid.shape, PIXEL_UNKNOWN, dtype=np.uint8)
-    pixels[grid.observed & (p > OCCUPIED_THRESH)] = PIXEL_OCCUPIED
-    pixels[grid.observed & (p < FREE_THRESH)] = PIXEL_FREE
-    return pixels
+    classes = [p > OCCUPIED_THRESH, p < FREE_THRESH]
+    low, high = (
+        np.select(classes, [_PERCENT_OCCUPIED[end], _PERCENT_FREE[end]], _PERCENT_BETWEEN[end]) for end in (0, 1)
+    )
+    percent = np.clip(np.rint(100 * p), low, high)
+    return np.where(grid.observed, percent, _PERCENT_UNKNOWN).astype(np.uint8)
 
 
-def _map_yaml(grid: Grid) -> str:
+def _scale(grid: Grid) -> UInt8[ndarray, "rows cols"]:
+    percent = np.where(grid.observed, _raw(grid), 50).astype(float)
+    return np.rint((100 - percent) * 2.55).astype(np.uint8)
+
+
+_PIXELS: dict[PgmMode, Callable[[Grid], UInt8[ndarray, "rows cols"]]] = {
+    "trinary": _trinary,
+    "scale": _scale,
+    "raw": _raw,
+}
+"""The pixels of map.pgm, row 0 the lowest y."""
+
+
+def _map_yaml(grid: Grid, mode: PgmMode) -> str:
+    occupied_thresh, free_thresh = _YAML_THRESH[mode]
     fields = {
         "image": "map.pgm",
-        "mode": "trinary",
+        "mode": mode,
         "resolution": float(grid.resolution),
         "origin": [float(grid.origin[0]), float(grid.origin[1]), 0.0],
         "negate": 0,
-        "occupied_thresh": OCCUPIED_THRESH,
-        "free_thresh": YAML_FREE_THRESH,
+        "occupied_thresh": occupied_thresh,
+        "free_thresh": free_thresh,
     }
-    return yaml.safe_dump(fields, sort_keys=False, default_flow_style=None)
+    # The file travels to the robot without our pages.
+    caution = "" if mode == "trinary" else "# Probabilities: Nav2 sees walls only with lethal_cost_threshold: 66\n"
+    return caution + yaml.safe_dump(fields, sort_keys=False, default_flow_style=None)
 
 
 def _run_yaml(settings: Mapping[str, Any]) -> str:

@@ -1,7 +1,7 @@
 """From frames to the map: the local map of each scan, its place in the world (eq. 4), and Bayes' rule."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import batched
 from typing import NamedTuple
@@ -15,13 +15,14 @@ from numpy import ndarray
 from echogrid.beam import ReadingModel, margin_cells, reading_of, sweeper
 from echogrid.em import ForwardModel
 from echogrid.errors import UsageError
+from echogrid.geometry import compose, inverse
 from echogrid.grid import P_MIN, Grid, GrowingGrid, covered, logit
 from echogrid.interpret import LOCAL_CELL_M, LOCAL_CELLS, Interpreter
 from echogrid.log import Frame
-from echogrid.memory import TRAITS, Memory
+from echogrid.mapper import BATCH, FINE_CELL_M, WINDOW_M, Evidence, Mapper, in_robot, near_each_other, placed
 from echogrid.models import DEFAULT, Model, sensor_model
 from echogrid.robot import Robot
-from echogrid.set_network import REACH_M, SetNetwork
+from echogrid.set_network import SetNetwork
 
 ROBOT_CELLS = 4
 """The robot stands in the central 4 x 4 cells of the local map."""
@@ -32,23 +33,9 @@ P_UNDER_ROBOT = 0.1
 P_VIEW_MIN, P_VIEW_MAX = 0.02, 0.98
 """No single view is taken to be more certain than this."""
 
-BATCH = 64
-"""Scans that are interpreted together; few enough to stay in the cache."""
-
-SUMS = ("occupied", "free", "occupied2", "free2")
-"""Layers of a map that is fused by the set network: evidence for and against a surface, and of its squares."""
-
-SIZES = (1, 8, BATCH)
-"""Batches of these sizes are compiled for: one scan alone is not to wait for many."""
-
-FINE_CELL_M = 0.04
-"""Cells of the set network's map: fine enough that where a cell lies on a wall does not matter."""
 
 WORKERS = 2
 """Batches that are interpreted side by side."""
-
-WINDOW_M = 3.0
-"""Way along an axis within which scans are taken together into one window of the map."""
 
 
 class LocalMap(NamedTuple):
@@ -159,19 +146,11 @@ def _patcher(robot: Robot, model: Interpreter, resolution: float) -> Patcher:
 
         ``corner``: centre of each patch's first cell relative to the robot, m, world axes; ``theta``: rad.
         """
-        x, y = _in_robot(corner, theta, steps)
+        x, y = in_robot(corner, theta, steps)
         p = jnp.clip(resample(look(ranges), in_cells(x), in_cells(y)), P_VIEW_MIN, P_VIEW_MAX)
         return jnp.log(p / (1 - p)) - prior
 
     return patches
-
-
-def _in_robot(corner, theta, steps):
-    """Coordinates in the robot's frame (m) of the cells of patches; see ``_patcher``."""
-    x = corner[:, 0, None, None] + steps[None, None, :]
-    y = corner[:, 1, None, None] + steps[None, :, None]
-    cos, sin = jnp.cos(theta)[:, None, None], jnp.sin(theta)[:, None, None]
-    return cos * x + sin * y, cos * y - sin * x
 
 
 def cell_of(model: Model) -> float:
@@ -184,6 +163,7 @@ def build_map(
     robot: Robot,
     model: Model | str = DEFAULT,
     resolution: float | None = None,
+    half_life: float | None = None,
 ) -> Iterator[Grid]:
     """Fuse the frames of a drive into a global map that grows as the robot drives.
 
@@ -192,26 +172,32 @@ def build_map(
         robot: the robot that drove; its mounts are in the order of the readings.
         model: a sensor model, or its name.
         resolution: side of a global cell, m; None: ``cell_of`` the model.
+        half_life: time in which evidence comes to count half, s, for places that change; None: it never fades.
 
     Yields:
         The map so far, after each batch of frames: views of the growing arrays, not copies. A model that needs the
         whole log yields once.
 
     Raises:
-        UsageError: the frames do not fit the robot, or the map would become too large.
+        UsageError: the frames do not fit the robot, the map would become too large, or evidence is to fade of a model
+            other than the set network.
     """
     if isinstance(model, str):
         model = sensor_model(model)
     resolution = resolution or cell_of(model)
     fitting = _fitting(frames, robot)
     if isinstance(model, SetNetwork):
-        yield from _by_views(fitting, robot, model, resolution)
+        yield from _by_views(fitting, Mapper(robot, model, resolution, half_life))
+        return
+    if half_life is not None:
+        raise UsageError(f"map: found model {model.name}, expected the set network, whose evidence can fade")
+    fitting = _apart(fitting, robot)
+    if isinstance(model, Interpreter):
+        yield from _by_local_maps(fitting, robot, model, resolution)
     elif isinstance(model, ForwardModel):
         yield from model.maps(fitting, robot, resolution)
-    elif isinstance(model, ReadingModel):
-        yield from _by_readings(fitting, robot, model, resolution)
     else:
-        yield from _by_local_maps(fitting, robot, model, resolution)
+        yield from _by_readings(fitting, robot, model, resolution)
 
 
 def _fitting(frames: Iterable[Frame], robot: Robot) -> Iterator[Frame]:
@@ -223,11 +209,26 @@ def _fitting(frames: Iterable[Frame], robot: Robot) -> Iterator[Frame]:
         yield frame
 
 
+def _apart(frames: Iterator[Frame], robot: Robot) -> Iterator[Frame]:
+    """Frames whose sonars all look from the robot's own mounts: others fall into one for each place of the robot."""
+    for frame in frames:
+        if frame.mounts is None:
+            yield frame
+            continue
+        places = compose(frame.pose, compose(frame.mounts, inverse(robot.mounts)))
+        kinds, kind = np.unique(np.round(places, 4), axis=0, return_inverse=True)
+        for k in range(len(kinds)):
+            same = kind == k
+            ranges = np.where(same, frame.ranges, np.nan)
+            if not np.isnan(ranges).all():
+                yield Frame(frame.stamp, places[np.argmax(same)], ranges)
+
+
 def _by_local_maps(frames: Iterator[Frame], robot: Robot, model: Interpreter, resolution: float) -> Iterator[Grid]:
     patches = _patcher(robot, model, resolution)
-    grown = GrowingGrid(resolution)
+    grown = GrowingGrid(resolution, {"views": np.int32(0)[...]})
     with ThreadPoolExecutor(WORKERS) as pool:
-        waiting: deque[Future[_Evidence]] = deque()
+        waiting: deque[Future[_Patches]] = deque()
         for batch in batched(frames, BATCH):
             waiting.append(pool.submit(_interpret, batch, robot, patches, resolution))
             # Batches are interpreted side by side, and fused in their order.
@@ -237,7 +238,7 @@ def _by_local_maps(frames: Iterator[Frame], robot: Robot, model: Interpreter, re
             yield _fuse(grown, waiting.popleft().result())
 
 
-class _Evidence(NamedTuple):
+class _Patches(NamedTuple):
     """What a batch of scans adds to the global map."""
 
     corner: Int[ndarray, "scans 2"]
@@ -247,111 +248,20 @@ class _Evidence(NamedTuple):
     spoken: Bool[ndarray, "scans side side"]
 
 
-class _Placed(NamedTuple):
-    """A batch of scans, filled up, and where its patches of the global map lie."""
-
-    ranges: Float[ndarray, "scans sonars"]
-    """m; nan behind the last scan."""
-    first: Int[ndarray, "scans 2"]
-    """Global cell [row, col] of each patch's first cell."""
-    corner: Float[ndarray, "scans 2"]
-    """Centre of that cell relative to the robot, m, world axes, x first."""
-    theta: Float[ndarray, "scans"]
-
-
-def _placed(batch: Sequence[Frame], size: int, side: int, resolution: float) -> _Placed:
-    """Fill a batch up to ``size`` scans, so that one compilation serves all."""
-    fill = size - len(batch)
-    poses = np.pad([frame.pose for frame in batch], [(0, fill), (0, 0)], mode="edge")
-    ranges = np.pad([frame.ranges for frame in batch], [(0, fill), (0, 0)], constant_values=np.nan)
-    first = np.floor(poses[:, :2] / resolution).astype(np.int64) - side // 2
-    corner = ((first + 0.5) * resolution - poses[:, :2]).astype(np.float32)
-    theta = np.mod(poses[:, 2], 2 * np.pi).astype(np.float32)
-    return _Placed(ranges.astype(np.float32), first[:, ::-1], corner, theta)
-
-
-def _interpret(batch: tuple[Frame, ...], robot: Robot, patches: Patcher, resolution: float) -> _Evidence:
-    placed = _placed(batch, BATCH, _patch_side(resolution), resolution)
-    evidence = np.asarray(patches(placed.ranges, placed.corner, placed.theta))[: len(batch)]
+def _interpret(batch: tuple[Frame, ...], robot: Robot, patches: Patcher, resolution: float) -> _Patches:
+    at = placed(batch, BATCH, _patch_side(resolution), resolution)
+    evidence = np.asarray(patches(at.ranges, at.corner, at.theta))[: len(batch)]
     spoken = ~np.isnan(evidence)
-    return _Evidence(placed.first[: len(batch)], np.where(spoken, evidence, np.float32(0)), spoken)
+    return _Patches(at.first[: len(batch)], np.where(spoken, evidence, np.float32(0)), spoken)
 
 
-def _fuse(grown: GrowingGrid, evidence: _Evidence) -> Grid:
+def _fuse(grown: GrowingGrid, evidence: _Patches) -> Grid:
     side = evidence.log_odds.shape[1]
     grown.reserve(evidence.corner.min(axis=0), evidence.corner.max(axis=0) + side)
     for corner, log_odds, spoken in zip(*evidence, strict=True):
         grown.fuse(corner, log_odds, spoken)
+        grown.window(corner, spoken.shape)["views"] += spoken
     return grown.grid()
-
-
-def _by_views(frames: Iterator[Frame], robot: Robot, network: SetNetwork, resolution: float) -> Iterator[Grid]:
-    """The map by the set network, which sums its evidence apart for and against a surface, window by window."""
-    side = int(np.ceil(2 * REACH_M / resolution)) + 2
-    span = side + int(np.ceil(WINDOW_M / resolution)) + 1
-    window = _windower(robot, network, resolution, side, span)
-    grown = GrowingGrid(resolution, dict.fromkeys(SUMS, np.float32(0)[...]))
-    memory = Memory(robot.mounts)
-    with ThreadPoolExecutor(WORKERS) as pool:
-        waiting: deque[tuple[Int[ndarray, "2"], Int[ndarray, "2"], Future]] = deque()
-
-        def oldest() -> Grid:
-            corner, end, sums = waiting.popleft()
-            grown.reserve(corner, end)
-            rows, cols = (int(n) for n in end - corner)
-            cells = grown.window(corner, (rows, cols))
-            for name, added in zip(SUMS, sums.result(), strict=True):
-                cells[name] += np.asarray(added)[:rows, :cols]
-            cells["observed"] |= cells["occupied"] + cells["free"] > 0
-            cells["log_odds"][:] = network.fuse(*(cells[name] for name in SUMS))
-            return grown.grid()
-
-        for batch in _near_each_other(frames):
-            recalled = memory.take(
-                np.array([frame.pose for frame in batch]), np.array([frame.ranges for frame in batch])
-            )
-            size = next(size for size in SIZES if size >= len(batch))
-            placed = _placed(batch, size, side, resolution)
-            traits = np.full((size, TRAITS), 0.5, dtype=np.float32)
-            traits[: len(batch)] = recalled.traits
-            weight = np.zeros(size, dtype=np.float32)
-            weight[: len(batch)] = recalled.weight
-            corner = placed.first.min(axis=0)
-            at = (placed.first - corner).astype(np.int32)
-            work = pool.submit(window, placed.ranges, traits, placed.corner, placed.theta, at, weight)
-            waiting.append((corner, placed.first.max(axis=0) + side, work))
-            # Batches are interpreted side by side, and fused in their order.
-            if len(waiting) > WORKERS:
-                yield oldest()
-        while waiting:
-            yield oldest()
-
-
-def _windower(robot: Robot, network: SetNetwork, resolution: float, side: int, span: int) -> Callable:
-    view = network.views(robot)
-    steps = jnp.arange(side) * resolution
-
-    @jax.jit
-    def window(ranges, traits, corner, theta, at, weight):
-        """Sums over scans (m) on a window of the global map, see SUMS.
-
-        ``corner``, ``theta``: as in ``_Placed``; ``at``: cell [row, col] of the window at which each patch begins;
-        ``weight``: what each scan counts.
-        """
-        found = jax.lax.optimization_barrier(view(ranges, traits, *_in_robot(corner, theta, steps)))
-
-        def add(sums, scan):
-            found, at, weight = scan
-            occupied = jnp.maximum(found, 0.0)
-            free = occupied - found
-            added = [weight * occupied, weight * free, weight * occupied**2, weight * free**2]
-            part = [jax.lax.dynamic_slice(total, at, (side, side)) for total in sums]
-            return tuple(map(lambda t, p, a: jax.lax.dynamic_update_slice(t, p + a, at), sums, part, added)), None
-
-        blank = tuple(jnp.zeros((span, span), jnp.float32) for _ in SUMS)
-        return jax.lax.scan(add, blank, (found, at, weight))[0]
-
-    return window
 
 
 def _by_readings(frames: Iterator[Frame], robot: Robot, model: ReadingModel, resolution: float) -> Iterator[Grid]:
@@ -361,7 +271,7 @@ def _by_readings(frames: Iterator[Frame], robot: Robot, model: ReadingModel, res
     sweep = sweeper(robot, model, resolution)
     margin = margin_cells(robot, model, resolution)
     side = round(WINDOW_M / resolution) + 2 * margin + 1
-    for batch in _near_each_other(frames):
+    for batch in near_each_other(frames):
         poses = np.array([frame.pose for frame in batch])
         corner = np.floor(poses[:, 1::-1].min(axis=0) / resolution).astype(np.int64) - margin
         grown.reserve(corner, corner + side)
@@ -381,16 +291,15 @@ def _by_readings(frames: Iterator[Frame], robot: Robot, model: ReadingModel, res
         yield grown.grid()
 
 
-def _near_each_other(frames: Iterator[Frame]) -> Iterator[list[Frame]]:
-    """Frames in their order, as many together as one window of the map holds."""
-    batch: list[Frame] = []
-    low = high = np.zeros(2)
-    for frame in frames:
-        place = frame.pose[:2]
-        low, high = (np.minimum(low, place), np.maximum(high, place)) if batch else (place, place)
-        if batch and (len(batch) == BATCH or np.any(high - low > WINDOW_M)):
-            yield batch
-            batch, low, high = [], place, place
-        batch.append(frame)
-    if batch:
-        yield batch
+def _by_views(frames: Iterator[Frame], mapper: Mapper) -> Iterator[Grid]:
+    with ThreadPoolExecutor(WORKERS) as pool:
+        waiting: deque[Future[Evidence]] = deque()
+        for batch in near_each_other(frames):
+            waiting.append(pool.submit(mapper.prepare(batch)))
+            # Batches are interpreted side by side, and fused in their order.
+            if len(waiting) > WORKERS:
+                mapper.fuse(waiting.popleft().result())
+                yield mapper.grid()
+        while waiting:
+            mapper.fuse(waiting.popleft().result())
+            yield mapper.grid()

@@ -51,13 +51,15 @@ class Recalled(NamedTuple):
 class Memory:
     """Memory of one drive of one robot."""
 
-    def __init__(self, mounts: Float[ndarray, "sonars 3"]):
+    def __init__(self, mounts: Float[ndarray, "sonars 3"], half_life: float | None = None):
         """A new drive.
 
         Args:
             mounts: of the sonars, m and rad.
+            half_life: time in which a look comes to count half, s; None: a look counts for ever.
         """
-        self._count: dict[tuple[int, int, int], int] = {}
+        self._half_life = half_life
+        self._count: dict[tuple[int, int, int], tuple[float, float]] = {}
         first, second = np.triu_indices(len(mounts), 1)
         near = np.exp(-((wrap(mounts[first, 2] - mounts[second, 2]) / NEIGHBOUR_RAD) ** 2))
         kept = near > _LEAST
@@ -65,12 +67,23 @@ class Memory:
         self._near = near[kept]
         self._sums, self._counts = np.zeros(TRAITS), np.zeros(TRAITS)
 
-    def take(self, poses: Float[ndarray, "scans 3"], ranges: Float[ndarray, "scans sonars"]) -> Recalled:
-        """Add scans (m; inf = no echo, nan = not fired) at poses (m, rad), and say what they are to be read with."""
+    def take(
+        self,
+        poses: Float[ndarray, "scans 3"],
+        ranges: Float[ndarray, "scans sonars"],
+        stamps: Float[ndarray, "scans"] | None = None,
+    ) -> Recalled:
+        """Add scans (m; inf = no echo, nan = not fired) at poses (m, rad), and say what they are to be read with.
+
+        ``stamps`` (s) are needed where looks fade.
+        """
         cell = np.column_stack([poses[:, :2] / PLACE_M, np.mod(poses[:, 2], 2 * np.pi) / TURN_RAD])
         weight = np.empty(len(poses), dtype=np.float32)
+        times = np.zeros(len(poses)) if stamps is None or self._half_life is None else stamps / self._half_life
         for i, (x, y, turn) in enumerate(np.floor(cell).astype(np.int64).tolist()):
-            count = self._count[x, y, turn] = self._count.get((x, y, turn), 0) + 1
+            count, time = self._count.get((x, y, turn), (0.0, 0.0))
+            count = 1 + (count * 2 ** min(time - times[i], 0.0) if count else 0.0)
+            self._count[x, y, turn] = count, times[i]
             weight[i] = 1.0 / count
         fired, echo = ~np.isnan(ranges), np.isfinite(ranges)
         reading = np.where(fired, np.minimum(ranges, FAR_M), 0.0)

@@ -65,6 +65,10 @@ class Robot:
         ranges = np.where(ranges >= self.max_range_m, np.inf, ranges)
         return np.where(ranges < self.min_range_m, np.nan, ranges)
 
+    def clean_one(self, range_m: float) -> float:
+        """``clean`` for a single reading."""
+        return np.inf if range_m >= self.max_range_m else np.nan if range_m < self.min_range_m else range_m
+
     @staticmethod
     def load(name_or_file: str | Path) -> "Robot":
         """A preset by name, or a robot file.

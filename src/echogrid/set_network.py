@@ -286,14 +286,14 @@ def evidence(profiles, rings, beyond, distance):
 class Mounted(NamedTuple):
     """What a robot's array fixes of the local map; a JAX pytree, so that arrays of one size share a compilation."""
 
-    sonar: Int[ndarray, "tokens bearings"]
+    sonar: Int[Array | ndarray, "tokens bearings"]
     """Column of the readings, of which one more than there are sonars is nan."""
-    axis: Float[ndarray, "tokens bearings"]
-    ahead: Float[ndarray, "tokens bearings"]
-    aside: Float[ndarray, "tokens bearings"]
-    distance: Float[ndarray, "tokens bearings rings"]
+    axis: Float[Array | ndarray, "tokens bearings"]
+    ahead: Float[Array | ndarray, "tokens bearings"]
+    aside: Float[Array | ndarray, "tokens bearings"]
+    distance: Float[Array | ndarray, "tokens bearings rings"]
     """From each sonar to each point, m."""
-    looks: Float[ndarray, "tokens bearings rings"]
+    looks: Float[Array | ndarray, "tokens bearings rings"]
     """1 where the sonar looks at the point."""
     under: Bool[ndarray, "rings"]
     """Rings on which the robot itself stands."""
@@ -313,6 +313,20 @@ def array_of(mounts: Float[ndarray, "sonars 3"], max_range: float, footprint_rad
     distance = np.hypot(forward, left).astype(np.float32)
     looks = (there[..., None] & (off <= LOOK_RAD)).astype(np.float32)
     return Mounted(sonar, axis, ahead, aside, distance, looks, ring < footprint_radius, max_range)
+
+
+def moved(array: Mounted, mounts: Float[Array, "sonars 3"]) -> Mounted:
+    """The array with its sonars at other mounts (m, m, rad), those asked for each bearing staying the same."""
+    bearing = jnp.arange(BEARINGS) * (2 * np.pi / BEARINGS)
+    there = array.sonar >= 0
+    axis, ahead, aside = along(jnp.moveaxis(mounts[array.sonar], -1, 0), bearing)
+    axis, ahead, aside = (jnp.where(there, value, 0.0) for value in (axis, ahead, aside))
+    ring = (np.arange(RINGS) + 0.5) * RING_M
+    forward, left = ring - ahead[..., None], -aside[..., None]
+    off = jnp.arctan2(left, forward) - axis[..., None]
+    off = jnp.abs(jnp.arctan2(jnp.sin(off), jnp.cos(off)))
+    looks = jnp.where(there[..., None] & (off <= LOOK_RAD), 1.0, 0.0)
+    return array._replace(axis=axis, ahead=ahead, aside=aside, distance=jnp.hypot(forward, left), looks=looks)
 
 
 def _bearing_of(x, y):
@@ -399,6 +413,16 @@ class SetNetwork:
         """``view`` for a robot."""
         array = array_of(robot.mounts, robot.max_range_m, robot.footprint_radius_m)
         return partial(view, jax.tree.map(jnp.asarray, self.weights), array)
+
+    def moved_views(self, robot: Robot) -> Callable[..., Float[Array, "scans *n"]]:
+        """``view`` for a robot whose sonars looked from other mounts in each scan, one argument more."""
+        weights = jax.tree.map(jnp.asarray, self.weights)
+        array = jax.tree.map(jnp.asarray, array_of(robot.mounts, robot.max_range_m, robot.footprint_radius_m))
+
+        def one(ranges, traits, x, y, mounts):
+            return view(weights, moved(array, mounts), ranges[None], traits[None], x[None], y[None])[0]
+
+        return jax.vmap(one)
 
     def fuse(
         self,

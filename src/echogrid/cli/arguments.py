@@ -1,8 +1,10 @@
 """What several commands take: a log with its robot, a world, physics, a seed; and their progress bar."""
 
+import sys
 from collections.abc import Iterable, Iterator
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from importlib import resources
+from typing import Annotated
 
 from tqdm import tqdm
 from tyro.conf import arg
@@ -10,6 +12,7 @@ from tyro.conf import arg
 from echogrid.acoustics import BEAMS, Physics
 from echogrid.errors import UsageError
 from echogrid.log import Log
+from echogrid.messages import Choice
 from echogrid.readers import load_log
 from echogrid.robot import Robot, preset_names
 from echogrid.world import world_names
@@ -17,15 +20,31 @@ from echogrid.world import world_names
 WORLD = arg(metavar="WORLD", help=f"World file, or a shipped one: {', '.join(world_names())}.")
 
 
-def open_log(log_file: str | None, robot_name: str | None) -> tuple[Log, Robot, bool]:
+@dataclass(frozen=True)
+class Ros:
+    """What of ROS's topics and frames to take, where it cannot be told."""
+
+    topics: Annotated[tuple[str, ...], arg(metavar="[TOPIC ...]")] = ()
+    """Topics of the sonars (and of odometry), by name or pattern ('/front/*'). Default: all."""
+    base_frame: str | None = None
+    """Frame of the robot. Default: the one that carries the sonars and has a pose."""
+    fixed_frame: str | None = None
+    """Frame to map in. Default: map, else odom, or what stands highest."""
+
+    def choice(self) -> Choice:
+        """What to listen to."""
+        return Choice(self.topics, self.base_frame, self.fixed_frame)
+
+
+def open_log(log_file: str | None, robot_name: str | None, choice: Choice | None = None) -> tuple[Log, Robot, bool]:
     """The log, the robot to map it with, and whether the user or the log named that robot."""
     if log_file is None:
         robot = Robot.load(robot_name or "b21")
         return load_log(str(resources.files("echogrid") / "data" / "sample.csv"), robot), robot, True
     if robot_name is not None:
         robot = Robot.load(robot_name)
-        return load_log(log_file, robot), robot, True
-    log = load_log(log_file)
+        return load_log(log_file, robot, choice), robot, True
+    log = load_log(log_file, choice=choice)
     if log.robot is not None:
         return log, log.robot, True
     robot = Robot.load("b21")
@@ -34,6 +53,12 @@ def open_log(log_file: str | None, robot_name: str | None) -> tuple[Log, Robot, 
         known = f" (presets with {log.sonars}: {', '.join(fits)})" if fits else ""
         raise UsageError(f"{log.name}: found {log.sonars} sonars, expected --robot to say where they sit{known}")
     return load_log(log_file, robot), robot, False
+
+
+def print_notes(log: Log) -> None:
+    """Say what was left out of a log, or assumed."""
+    for what, count in log.notes.items():
+        print(f"note: {what}" + (f" ({count} times)" if count else ""), file=sys.stderr)
 
 
 def bar[T](items: Iterable[T], what: str, unit: str, total: int | None = None) -> Iterator[T]:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from echogrid.errors import InputError
 from echogrid.log import Log
-from echogrid.readers import carmen, csv_log
+from echogrid.messages import Choice
+from echogrid.readers import bag, carmen, csv_log
 from echogrid.readers.csv_log import write_csv
 from echogrid.readers.lines import numbered, printable, quoted, text_of
 from echogrid.robot import Robot
@@ -32,8 +33,8 @@ READERS = (
 )
 
 
-def load_log(path: str | Path, robot: Robot | None = None) -> Log:
-    """Open a recorded log; the format is told from its first line.
+def load_log(path: str | Path, robot: Robot | None = None, choice: Choice | None = None) -> Log:
+    """Open a recorded log; the format is told from how the file begins.
 
     The frames are read anew, in bounded memory, each time the log is gone through; a wrong row raises its
     InputError then, after the frames before it.
@@ -42,6 +43,7 @@ def load_log(path: str | Path, robot: Robot | None = None) -> Log:
         path: the file.
         robot: the robot that recorded it. Its limits are applied to the ranges (``Robot.clean``), and its
             mounts are taken in place of those that the log may carry. None: what the log says of itself.
+        choice: what of a bag to read.
 
     Raises:
         InputError: no file, a format that is not known, a wrong header, nothing in it, or another number of
@@ -49,6 +51,10 @@ def load_log(path: str | Path, robot: Robot | None = None) -> Log:
     """
     path = Path(path)
     name = printable(path)
+    if bag.recognises(path):
+        return bag.load(path, robot, choice)
+    if choice not in (None, Choice()):
+        raise InputError(name, "a log that is no bag", "a bag, for topics and frames to be chosen from")
     _, line = next(numbered(path), (1, b""))
     if not line:
         raise InputError(name, "an empty file", "a log")
@@ -58,7 +64,7 @@ def load_log(path: str | Path, robot: Robot | None = None) -> Log:
             log = reader.load(path, robot)
             break
     else:
-        formats = " or ".join(reader.format for reader in READERS)
+        formats = " or ".join([*(reader.format for reader in READERS), "a bag of ROS"])
         raise InputError(f"{name}:1", quoted(first_line), formats)
     if robot is not None and robot.sonars != log.sonars:
         raise InputError(name, f"{log.sonars} sonars", f"{robot.sonars}, as robot {robot.name} has")

@@ -1,0 +1,459 @@
+"""Bags of ROS 1 and ROS 2 (sqlite3 and MCAP); no ROS is needed.
+
+A bag is gone through twice: its beginning, to find which sonars there are, where they sit and what carries them; then
+the whole of it. Stamps are those of the messages' headers, or the time of recording where a header has none.
+"""
+
+from collections import Counter
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from functools import partial
+from math import degrees, inf, isnan, nan
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from echogrid.errors import InputError
+from echogrid.log import Frame, Log
+from echogrid.messages import (
+    CLOUD2,
+    ODOMETRY,
+    RANGE,
+    SONAR_ARRAY,
+    SONARS,
+    TF,
+    TF_OLD,
+    Choice,
+    Sonar,
+    points_of,
+    put_odometry,
+    put_transforms,
+    ranges_of,
+    seconds,
+)
+from echogrid.readers.bag_file import BagFile, Message, Topic, recognises
+from echogrid.robot import MAX_SONARS, Robot, preset_names
+from echogrid.scans import (
+    BACK,
+    BACK_S,
+    BEAM_WIDTH_RAD,
+    Scans,
+    base_of,
+    beam_width,
+    fixed_of,
+    mount,
+    reading,
+    robot_of,
+)
+from echogrid.transforms import Transforms
+
+SURVEY_S, SURVEY_MESSAGES = 5.0, 300_000
+"""A bag is surveyed until so long after all topics of sonars were heard, and for so many messages at most."""
+
+SHOWN = 12
+"""Names that a message lists at most."""
+
+_TURNED_M, _TURNED_RAD = 0.01, np.deg2rad(1.0)
+"""A mount that changes more than this is one that moves."""
+
+__all__ = ["Event", "Heard", "Plan", "Survey", "load", "recognises", "survey"]
+
+
+class Event(NamedTuple):
+    """A reading in a bag."""
+
+    sonar: Sonar
+    stamp: float
+    """s"""
+    range_m: float
+    """As it stands in the message."""
+    field_of_view: float
+    """rad; nan if the type has none."""
+    limits: tuple[float, float]
+    """Minimum and maximum range, m; nan if the type has none."""
+
+
+@dataclass
+class Heard:
+    """What a bag says of one sonar."""
+
+    readings: int = 0
+    no_echo: int = 0
+    invalid: int = 0
+    """Readings that are nan, too close or below the limits."""
+    zeros: int = 0
+    """Readings of 0."""
+    first: float = nan
+    """Stamp of the first reading, s."""
+    last: float = nan
+    field_of_view: float = nan
+    """Of the first message, rad, as it stands there; nan if the type has none."""
+    limits: tuple[float, float] = (nan, nan)
+    """Minimum and maximum range of the first message, m, as they stand there."""
+    mount: Float[ndarray, "3"] | None = None
+    """Where it sits on the robot: m, m, rad."""
+    amiss: str | None = None
+    """Why it has no mount."""
+
+    def count(self, event: Event) -> None:
+        """Count a reading in."""
+        if self.readings == 0:
+            self.first, self.field_of_view, self.limits = event.stamp, event.field_of_view, event.limits
+        value = reading(event.range_m, *event.limits)
+        self.readings += 1
+        self.last = event.stamp
+        self.no_echo += value == inf
+        self.invalid += isnan(value)
+        self.zeros += event.range_m == 0
+
+    @property
+    def rate(self) -> float:
+        """Readings a second; 0 if there is one."""
+        return (self.readings - 1) / (self.last - self.first) if self.last > self.first else 0.0
+
+
+def load(path: Path, robot: Robot | None, choice: Choice | None = None) -> Log:
+    """Open a bag; its beginning is read now, the rest as the log is gone through.
+
+    Args:
+        path: a .bag, .mcap or .db3 file, or the folder of a ROS 2 bag.
+        robot: taken in place of what the bag says of its robot: its mounts are those of the sonars in the order of
+            their names. It is needed where the bag does not say where the sonars sit: for point clouds and
+            SonarArray, or without tf.
+        choice: what to listen to.
+
+    Raises:
+        InputError: not a whole bag, no sonars or no poses in it, more than one robot, or places that are not known.
+    """
+    beginning = Survey(path, robot, choice or Choice())
+    beginning.go(whole=False)
+    plan = beginning.plan()
+    notes: dict[str, int] = {}
+    return Log(beginning.name, plan.robot.sonars, plan.robot, partial(_frames, path, plan, notes), notes)
+
+
+def survey(path: Path, robot: Robot | None, choice: Choice) -> "Survey":
+    """Go through a whole bag and say what is in it; arguments and errors as for ``load``."""
+    found = Survey(path, robot, choice)
+    found.go(whole=True)
+    found.plan()
+    return found
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a bag is to be read."""
+
+    robot: Robot
+    numbers: dict[Sonar, int]
+    """Place of each sonar among the robot's mounts."""
+    topics: frozenset[str]
+    """To be read."""
+    base: str
+    fixed: str
+    transforms: Transforms
+    """Of the survey; those that are static hold throughout."""
+    notes: dict[str, int]
+    """What is known beforehand to be left out or assumed, and how often."""
+
+
+class Survey:
+    """Goes through a bag, or its beginning, and finds out what is in it."""
+
+    def __init__(self, path: Path, robot: Robot | None, choice: Choice):
+        """See ``load``."""
+        self.robot, self.choice, self.transforms = robot, choice, Transforms()
+        self.heard: dict[Sonar, Heard] = {}
+        self._path = path
+        with BagFile(path) as bag:
+            self.name, self.topics = bag.name, bag.topics()
+        self.sonars = self._chosen()
+        odometry = [topic for topic in self.topics if topic.type == ODOMETRY]
+        self.odometry = [topic for topic in odometry if choice.takes(topic.name)] or odometry
+        self._links: dict[str, set[str]] = {}
+
+    def _chosen(self) -> list[Topic]:
+        """The topics of sonars to be read: of the best type that is there."""
+        there = [topic for topic in self.topics if topic.type in SONARS and topic.messages]
+        taken = [topic for topic in there if self.choice.takes(topic.name)]
+        if not self.choice.topics:
+            # Point clouds are seldom sonars.
+            taken = [topic for topic in taken if topic.type != CLOUD2 or "sonar" in topic.name.lower()]
+        if not taken:
+            names = there or self.topics
+            wanted = f"one of {_listed(names)}" if there else f"one of {', '.join(SONARS)}"
+            found = "no topic of sonars"
+            if self.choice.topics:
+                found += f" that fits {' '.join(self.choice.topics)}"
+            elif there:
+                found, wanted = "only point clouds that may not be sonars", f"--topics with {wanted}"
+            else:
+                found += f" among {_listed(names)}"
+            raise InputError(self.name, found, wanted)
+        best = min((topic.type for topic in taken), key=SONARS.index)
+        taken = [topic for topic in taken if topic.type == best]
+        if best != RANGE and len(taken) > 1:
+            raise InputError(self.name, f"{len(taken)} topics of {best}", f"--topics with one of {_listed(taken)}")
+        return taken
+
+    def go(self, whole: bool) -> None:
+        """Read the bag: all of it, or until the sonars are known."""
+        topics = {topic.name for topic in (*self.sonars, *self.odometry)}
+        topics |= {topic.name for topic in self.topics if topic.type in (TF, TF_OLD)}
+        silent, until, count = {topic.name for topic in self.sonars}, inf, 0
+        with BagFile(self._path) as bag:
+            for message in bag.messages(topics):
+                count += 1
+                if message.type == ODOMETRY:
+                    child = message.content.child_frame_id.lstrip("/") or "base_link"
+                    self._links.setdefault(child, set()).add(message.topic)
+                for event in _events(message, self.transforms, self.robot, Counter()):
+                    if event.sonar not in self.heard and len(self.heard) >= MAX_SONARS:
+                        raise InputError(self.name, f"more than {MAX_SONARS} sonars", f"{MAX_SONARS} at most")
+                    self.heard.setdefault(event.sonar, Heard()).count(event)
+                if message.topic in silent:
+                    silent.discard(message.topic)
+                    until = inf if silent else message.received + SURVEY_S
+                if not whole and (message.received > until or count > SURVEY_MESSAGES):
+                    return
+
+    def plan(self) -> Plan:
+        """How to read the bag.
+
+        Raises:
+            InputError: see ``load``.
+        """
+        if not self.heard:
+            raise InputError(self.name, f"nothing to read in {_listed(self.sonars)}", "readings of sonars")
+        sonars = sorted(self.heard, key=lambda sonar: sonar.order)
+        base = self._base(sonars)
+        fixed = self.choice.fixed.lstrip("/") if self.choice.fixed else fixed_of(self.transforms, base)
+        if fixed is None or self.transforms.known(fixed, base) is None:
+            raise self._no_pose(base, fixed)
+        self._one_pose(base, fixed)
+        notes: dict[str, int] = {}
+        if self.robot is None:
+            sonars = self._place(sonars, base, notes)
+            robot = self._described(base, sonars, notes)
+        else:
+            robot = self.robot
+            if len(sonars) != robot.sonars:
+                found = f"{len(sonars)} sonars ({_names(sonars)})"
+                raise InputError(self.name, found, f"{robot.sonars}, as robot {robot.name} has")
+        for sonar in sonars:
+            heard = self.heard[sonar]
+            if heard.zeros == heard.readings:
+                notes[f"{_name(sonar)} says 0 all the time, which is no reading"] = heard.zeros
+        topics = {topic.name for topic in self.sonars}
+        topics |= {topic.name for topic in self.topics if topic.type in (TF, TF_OLD)}
+        topics |= {topic.name for topic in self.odometry}
+        numbers = {sonar: number for number, sonar in enumerate(sonars)}
+        return Plan(robot, numbers, frozenset(topics), base, fixed, self.transforms, notes)
+
+    def _base(self, sonars: list[Sonar]) -> str:
+        """The frame of the robot that carries the sonars."""
+        if self.choice.base:
+            return self.choice.base.lstrip("/")
+        carried: dict[str, list[Sonar]] = {}
+        for sonar in sonars:
+            if sonar.frame.lstrip("/") in self.transforms:
+                carried.setdefault(base_of(self.transforms, sonar.frame), []).append(sonar)
+        moving = {base_of(self.transforms, child) for child in self.transforms.children()}
+        moving = {base for base in moving if fixed_of(self.transforms, base)}
+        bases = [base for base in carried if base in moving] or (sorted(moving) if self.robot else list(carried))
+        if len(bases) > 1:
+            found = "; ".join(f"{base} ({_names(carried.get(base, []))})" for base in sorted(bases))
+            raise InputError(self.name, f"{len(bases)} robots: {found}", "one: --topics or --base-frame")
+        if bases:
+            return bases[0]
+        if moving and not self.robot:
+            frames = ", ".join(sorted({sonar.frame or "(none)" for sonar in sonars})[:SHOWN])
+            raise InputError(
+                self.name,
+                f"no transform from the robot ({', '.join(sorted(moving))}) to the frames of the sonars ({frames})",
+                "tf, or --robot with the places of the sonars",
+            )
+        raise self._no_pose("the robot", None)
+
+    def _no_pose(self, base: str, fixed: str | None) -> InputError:
+        where = f" in {fixed}" if fixed else ""
+        frames = ", ".join(sorted(self.transforms.children())[:SHOWN])
+        known = f"; tf knows {frames}" if frames else ""
+        return InputError(
+            self.name,
+            f"no pose of {base}{where} among {_listed(self.topics)}{known}",
+            "tf from map or odom to the robot, or nav_msgs/Odometry",
+        )
+
+    def _one_pose(self, base: str, fixed: str) -> None:
+        """Refuse several topics of odometry between which nothing decides; drop them where tf has the pose."""
+        line = self.transforms.line(base)
+        above = line[: line.index(fixed)] if fixed in line else []
+        weak = [child for child in above if self.transforms.is_weak(child)]
+        if not weak:
+            self.odometry = []
+        topics = {topic for child in weak for topic in self._links.get(child, ())}
+        if len(topics) > 1:
+            found = f"the pose of {base} in {len(topics)} topics"
+            raise InputError(self.name, found, f"--topics with one of {_few(sorted(topics))}")
+
+    def _place(self, sonars: list[Sonar], base: str, notes: dict[str, int]) -> list[Sonar]:
+        """Find the mounts; those that have one."""
+        if self.sonars[0].type != RANGE:
+            count = len(sonars)
+            fits = ", ".join(name for name in preset_names() if Robot.load(name).sonars == count)
+            known = f" (presets with {count}: {fits})" if fits else ""
+            raise InputError(
+                self.name,
+                f"{count} sonars in {self.sonars[0].name} ({self.sonars[0].type}), which says not where they sit",
+                f"--robot with their places{known}",
+            )
+        frames: dict[str, Sonar] = {}
+        for sonar in sonars:
+            heard = self.heard[sonar]
+            heard.mount, heard.amiss = self._mount(base, sonar, heard)
+            other = frames.setdefault(sonar.frame, sonar)
+            if other != sonar and heard.mount is not None:
+                raise InputError(
+                    self.name,
+                    f"{other.topic} and {sonar.topic} in one frame, {sonar.frame}",
+                    "a frame for each sonar, or --robot with their places in the order of the topics",
+                )
+        placed = [sonar for sonar in sonars if self.heard[sonar].mount is not None]
+        if not placed:
+            raise InputError(
+                self.name,
+                f"{_name(sonars[0])} {self.heard[sonars[0]].amiss}",
+                "tf, or --robot with the places of the sonars",
+            )
+        for sonar in sonars:
+            if self.heard[sonar].amiss:
+                notes[f"{_name(sonar)} {self.heard[sonar].amiss}: left out"] = 0
+        return placed
+
+    def _mount(self, base: str, sonar: Sonar, heard: Heard) -> tuple[Float[ndarray, "3"] | None, str | None]:
+        if not sonar.frame:
+            return None, "names no frame"
+        first, last = (mount(self.transforms, base, sonar.frame, stamp) for stamp in (heard.first, heard.last))
+        if first is None or last is None:
+            return None, f"has no transform to {base}"
+        if isinstance(first, str) or isinstance(last, str):
+            return None, f"has {first if isinstance(first, str) else last}"
+        apart = np.abs(first - last)
+        if max(apart[:2]) > _TURNED_M or _TURNED_RAD < apart[2] < 2 * np.pi - _TURNED_RAD:
+            return None, "moves on the robot"
+        return last, None
+
+    def _described(self, base: str, sonars: list[Sonar], notes: dict[str, int]) -> Robot:
+        told = [self.heard[sonar] for sonar in sonars]
+        widths = [width for heard in told if (width := beam_width(heard.field_of_view)) is not None]
+        if len(widths) < len(told):
+            odd = next(sonar for sonar in sonars if beam_width(self.heard[sonar].field_of_view) is None)
+            width = degrees(np.median(widths) if widths else BEAM_WIDTH_RAD)
+            field = f"field_of_view {self.heard[odd].field_of_view:g} of {_name(odd)}"
+            more = f" and {len(told) - len(widths) - 1} more" if len(told) - len(widths) > 1 else ""
+            notes[f"{field}{more}: no beam width, {width:.0f} degrees taken"] = 0
+        mounts = np.array([heard.mount for heard in told], dtype=float)
+        return robot_of(base, mounts, widths, [heard.limits for heard in told])
+
+
+def _events(message: Message, transforms: Transforms, robot: Robot | None, refused: Counter[str]) -> Iterator[Event]:
+    """The readings in a message; its transforms and poses are put where they belong."""
+    content, kind = message.content, message.type
+    if kind == RANGE:
+        stamp = seconds(content.header.stamp) or message.received
+        sonar = Sonar(message.topic, content.header.frame_id)
+        yield Event(sonar, stamp, content.range, content.field_of_view, (content.min_range, content.max_range))
+    elif kind in (TF, TF_OLD):
+        refused.update(put_transforms(transforms, content, message.topic.rsplit("/", 1)[-1] == "tf_static"))
+    elif kind == ODOMETRY:
+        reason = put_odometry(transforms, content)
+        if reason:
+            refused[reason] += 1
+    else:
+        stamp = seconds(content.header.stamp) or message.received
+        ranges = ranges_of(content) if kind == SONAR_ARRAY else _of_points(message, transforms, robot)
+        if ranges is None or (robot is not None and len(ranges) != robot.sonars):
+            refused["a message with another number of sonars"] += 1
+            return
+        limits = (nan, nan) if robot is None else (robot.min_range_m, robot.max_range_m)
+        for number, range_m in enumerate(ranges.tolist()):
+            yield Event(Sonar(message.topic, str(number)), stamp, range_m, nan, limits)
+
+
+def _of_points(message: Message, transforms: Transforms, robot: Robot | None) -> Float[ndarray, "sonars"] | None:
+    """Ranges (m) of the points that sonars saw, in the order of the sonars; nan where the places are not known."""
+    points = points_of(message.content)
+    if points is None or robot is None or len(points) != robot.sonars:
+        return None if points is None else np.full(len(points), nan)
+    frame = message.content.header.frame_id
+    base = base_of(transforms, frame)
+    pose = transforms.pose(base, frame, seconds(message.content.header.stamp), reach=inf) if frame != base else None
+    if pose is not None:
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        points = points @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
+    return np.hypot(*(points - robot.mounts[:, :2]).T)
+
+
+def _name(sonar: Sonar) -> str:
+    return f"{sonar.frame} on {sonar.topic}"
+
+
+def _names(sonars: Collection[Sonar]) -> str:
+    return _few([_name(sonar) for sonar in sonars])
+
+
+def _listed(topics: Collection[Topic]) -> str:
+    return _few([f"{topic.name} ({topic.type})" for topic in topics])
+
+
+def _few(names: Collection[str]) -> str:
+    shown = ", ".join([*names][:SHOWN]) or "nothing"
+    return f"{shown} and {len(names) - SHOWN} more" if len(names) > SHOWN else shown
+
+
+def _frames(path: Path, plan: Plan, notes: dict[str, int]) -> Iterator[Frame]:
+    transforms = plan.transforms.still()
+    scans = Scans(plan.robot, transforms, plan.fixed, plan.base)
+    refused: Counter[str] = Counter()
+    numbers, robot = plan.numbers, plan.robot
+    count = 0
+    stamps = [inf, -inf]
+    with BagFile(path) as bag:
+        for message in bag.messages(plan.topics):
+            for sonar, stamp, range_m, _, limits in _events(message, transforms, robot, refused):
+                number = numbers.get(sonar)
+                if number is None:
+                    refused["a reading of a sonar without a place, or that was not heard in the beginning"] += 1
+                    continue
+                if scans.add(number, stamp, robot.clean_one(reading(range_m, *limits))) == BACK:
+                    raise InputError(
+                        f"{bag.name}: {sonar.topic}",
+                        f"a clock that jumps back by more than {BACK_S:g} s at {stamp:.3f} s",
+                        "time that goes on",
+                    )
+                stamps[0], stamps[1] = min(stamps[0], stamp), max(stamps[1], stamp)
+            if scans.pending:
+                for frame in scans.frames():
+                    count += 1
+                    yield frame
+        for frame in scans.frames(reach=_LAST_S, final=True):
+            count += 1
+            yield frame
+    notes.clear()
+    notes |= plan.notes | dict(refused + scans.dropped)
+    if not count:
+        known = transforms.known(plan.fixed, plan.base)
+        poses = "none" if known is None else f"{known[0]:.1f} to {known[1]:.1f} s"
+        raise InputError(
+            bag.name,
+            f"no reading at a time of a pose (readings {stamps[0]:.1f} to {stamps[1]:.1f} s, poses {poses})",
+            "stamps of one clock",
+        )
+
+
+_LAST_S = 0.1
+"""How far past the last pose of a bag readings are still taken from it."""

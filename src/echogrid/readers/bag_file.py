@@ -1,0 +1,217 @@
+"""Bags of ROS 1 and ROS 2 as files: opening them, decoding messages of the types that are needed, finding damage."""
+
+from collections.abc import Collection, Generator, Iterator
+from contextlib import contextmanager
+from operator import itemgetter
+from pathlib import Path
+from struct import Struct
+from typing import Any, NamedTuple
+
+from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.rosbag1 import Reader, ReaderError
+from rosbags.rosbag2 import Reader as Reader2
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from echogrid.errors import EchogridError, InputError
+from echogrid.messages import TF, TF_OLD
+from echogrid.readers.lines import printable
+
+MAGIC = {b"#ROSBAG V": ".bag", b"\x89MCAP0\r\n": ".mcap", b"SQLite format 3\0": ".db3"}
+"""How the files begin, and how their names must end."""
+
+_SIZE = Struct("<L").unpack_from
+_TIME = Struct("<LL").unpack_from
+
+_MESSAGE = 2
+"""Operation code of a record with a message."""
+
+MAX_CHUNK = 512 * 2**20
+"""A longer chunk (bytes) is a broken one."""
+
+
+_TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
+"""Definition of both TFMessages, for bags that lack their own."""
+
+
+def recognises(path: Path) -> bool:
+    """Whether there is a bag: a file that begins like one, or a folder with the metadata of one."""
+    return (path / "metadata.yaml").is_file() if path.is_dir() else _ending(path) is not None
+
+
+def _ending(path: Path) -> str | None:
+    try:
+        with path.open("rb") as file:
+            head = file.read(16)
+    except OSError:
+        return None
+    return next((ending for magic, ending in MAGIC.items() if head.startswith(magic)), None)
+
+
+class Topic(NamedTuple):
+    """A topic in a bag."""
+
+    name: str
+    type: str
+    """As ROS 2 writes it: ``sensor_msgs/msg/Range``."""
+    messages: int
+
+
+class Message(NamedTuple):
+    """A message in a bag."""
+
+    topic: str
+    type: str
+    received: float
+    """When it was recorded, s."""
+    content: Any
+    """The message, its fields by their names."""
+
+
+class BagFile:
+    """An open bag; to be used in a ``with`` block.
+
+    Raises:
+        InputError: it is not a bag, or a damaged one; so do its methods.
+    """
+
+    def __init__(self, path: Path):
+        """Open a .bag, .mcap or .db3 file, or the folder of a ROS 2 bag."""
+        self.name = printable(path)
+        ending = None if path.is_dir() else _ending(path)
+        if ending and path.suffix != ending:
+            raise InputError(self.name, f"a bag that ends in {path.suffix or 'nothing'}", f"{ending}, as it begins")
+        self._first = ending == ".bag"
+        with self._damage():
+            self._reader = _StreamedBag(path) if self._first else Reader2(path)
+            self._reader.open()
+            self._connections = list(self._reader.connections)
+        self._stores: dict[str, Typestore] = {}
+
+    def __enter__(self) -> "BagFile":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._reader.close()
+
+    @contextmanager
+    def _damage(self) -> Generator[None]:
+        # The libraries below let out errors of many kinds for files that are cut off or overwritten.
+        try:
+            yield
+        except (EchogridError, MemoryError, PermissionError):
+            raise
+        except Exception as error:
+            said = " ".join(str(error).split())[:120] or type(error).__name__
+            cut = "index" in said or "Truncated" in said or "magic" in said
+            mend = "; rosbag reindex or mcap recover may mend it" if cut else ""
+            raise InputError(self.name, f"a bag that is cut off or damaged ({said})", f"a whole one{mend}") from None
+
+    def topics(self) -> list[Topic]:
+        """All topics, by their names."""
+        counts: dict[tuple[str, str], int] = {}
+        for each in self._connections:
+            key = each.topic, each.msgtype
+            counts[key] = counts.get(key, 0) + self._count(each)
+        return [Topic(name, kind, count) for (name, kind), count in sorted(counts.items())]
+
+    def _count(self, connection: Connection) -> int:
+        if isinstance(self._reader, _StreamedBag):
+            return sum(chunk.connection_counts.get(connection.id, 0) for chunk in self._reader.chunk_infos)
+        return connection.msgcount
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """The messages of some topics, in the order in which they were recorded."""
+        wanted = [each for each in self._connections if each.topic in topics and self._count(each)]
+        if not wanted:
+            return
+        decoders = {}
+        with self._damage():
+            for each in wanted:
+                store = self._store(each)
+                decoders[each.id, each.topic] = store.deserialize_ros1 if self._first else store.deserialize_cdr
+            for connection, time, data in self._reader.messages(wanted):
+                kind = connection.msgtype
+                content = decoders[connection.id, connection.topic](data, kind)
+                yield Message(connection.topic, kind, time * 1e-9, content)
+
+    def _store(self, connection: Connection) -> Typestore:
+        """The types of a connection: as the bag defines them, else as they are known."""
+        kind = connection.msgtype
+        if kind not in self._stores:
+            definition, form = connection.msgdef.data, connection.msgdef.format
+            if form == MessageDefinitionFormat.NONE:
+                store = get_typestore(Stores.ROS1_NOETIC if self._first else Stores.ROS2_HUMBLE)
+                if kind in (TF, TF_OLD) and kind not in store.types:
+                    store.register(get_types_from_msg(_TRANSFORMS, kind))
+            else:
+                store = get_typestore(Stores.EMPTY)
+                if form == MessageDefinitionFormat.MSG:
+                    store.register(get_types_from_msg(definition, kind))
+                else:
+                    for part in definition.split("=" * 80 + "\n"):
+                        text = part.split("\n", 1)[1] if part.startswith("IDL: ") else part
+                        if text.strip():
+                            store.register(get_types_from_idl(text))
+            self._stores[kind] = store
+        return self._stores[kind]
+
+
+class _StreamedBag(Reader):
+    """A bag of ROS 1 whose messages are read in the order of their time, in memory of a few chunks.
+
+    The index of rosbags, which holds every message, would fill the memory.
+    """
+
+    def read_index_data(self, pos: int, indexes: dict) -> None:
+        """Pass over the index of a chunk."""
+
+    def messages(  # ty: ignore[incompatible-method-override]
+        self, connections: Collection[Connection] = ()
+    ) -> Iterator[tuple[Connection, int, bytes]]:
+        """Messages of some connections: connection, time of receipt (ns), data.
+
+        Raises:
+            ReaderError: the bag is damaged.
+        """
+        wanted = {each.id: each for each in connections or self.connections}
+        chunks = sorted(
+            (chunk for chunk in self.chunk_infos if not wanted.keys().isdisjoint(chunk.connection_counts)),
+            key=lambda chunk: chunk.start_time,
+        )
+        held: list[tuple[int, int, bytes]] = []
+        for chunk in chunks:
+            # What is older than all that is still to be read can go.
+            ready = [each for each in held if each[0] < chunk.start_time]
+            held = [each for each in held if each[0] >= chunk.start_time]
+            for time, number, data in ready:
+                yield wanted[number], time, data
+            held.extend(self._of_chunk(chunk.pos, wanted))
+            held.sort(key=itemgetter(0))
+        for time, number, data in held:
+            yield wanted[number], time, data
+
+    def _of_chunk(self, position: int, wanted: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
+        chunk, file = self.chunks[position], self.bio
+        if file is None or chunk.datasize > MAX_CHUNK:
+            raise ReaderError("a chunk that is too long")
+        file.seek(chunk.datapos)
+        data = chunk.decompressor(file.read(chunk.datasize))
+        place, end = 0, len(data)
+        while place < end:
+            head = place + 4
+            body = head + _SIZE(data, place)[0]
+            place = body + 4 + _SIZE(data, body)[0]
+            if place > end:
+                raise ReaderError("a record that ends outside of its chunk")
+            values: dict[bytes, int] = {}
+            while head < body:
+                sign = data.index(b"=", head + 4)
+                values[data[head + 4 : sign]] = sign + 1
+                head += 4 + _SIZE(data, head)[0]
+            if data[values[b"op"]] != _MESSAGE:
+                continue
+            (number,) = _SIZE(data, values[b"conn"])
+            if number in wanted:
+                sec, nsec = _TIME(data, values[b"time"])
+                yield sec * 10**9 + nsec, number, data[body + 4 : place]

@@ -1,0 +1,298 @@
+"""Where frames of ROS's tf lie to each other at a time: a tree of transforms, looked up in the plane.
+
+Poses are composed in space and flattened last, so that a sensor mounted tilted or on a robot that rolls is placed
+where it is. Between two samples of an edge the translation is interpolated linearly and the heading on the shorter
+way, as tf2 does.
+"""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from math import atan2, hypot, isfinite, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+MAX_FRAMES = 2_000
+"""Frames that are kept apart; names beyond are refused, for they are made up."""
+
+MAX_SAMPLES = 20_000
+"""Samples that an edge keeps."""
+
+KEEP_S = 60.0
+"""How long before its newest sample an edge is remembered."""
+
+JUMP_S, JUMP_M, JUMP_RAD = 2.0, 0.3, 0.35
+"""Over a gap longer than the first in which a frame moved by more than one of the others nothing is interpolated."""
+
+_DEPTH = 64
+
+_FAR_M = 1e7
+"""A translation beyond is no place."""
+
+
+class Rigid(NamedTuple):
+    """A pose in space: translation (m) and rotation (unit quaternion x, y, z, w)."""
+
+    translation: tuple[float, float, float]
+    rotation: tuple[float, float, float, float]
+
+
+IDENTITY = Rigid((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+def compose(a: Rigid, b: Rigid) -> Rigid:
+    """T_x_z from T_x_y and T_y_z."""
+    x, y, z = _turned(a.rotation, b.translation)
+    ax, ay, az = a.translation
+    return Rigid((ax + x, ay + y, az + z), _product(a.rotation, b.rotation))
+
+
+def inverse(a: Rigid) -> Rigid:
+    """T_y_x from T_x_y."""
+    x, y, z, w = a.rotation
+    back = (-x, -y, -z, w)
+    tx, ty, tz = _turned(back, a.translation)
+    return Rigid((-tx, -ty, -tz), back)
+
+
+def planar(a: Rigid) -> tuple[float, float, float]:
+    """A pose in the plane: x, y (m) and the bearing (rad) of the frame's x axis."""
+    x, y, z, w = a.rotation
+    return a.translation[0], a.translation[1], atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def slope(a: Rigid) -> float:
+    """How far the x axis of a frame points up (1) or down (-1); 0 in the plane."""
+    x, y, z, w = a.rotation
+    return 2 * (x * z - w * y)
+
+
+def _product(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float, float]:
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+def _turned(q: Sequence[float], v: Sequence[float]) -> tuple[float, float, float]:
+    x, y, z, w = q
+    vx, vy, vz = v
+    tx, ty, tz = 2 * (y * vz - z * vy), 2 * (z * vx - x * vz), 2 * (x * vy - y * vx)
+    return (
+        vx + w * tx + y * tz - z * ty,
+        vy + w * ty + z * tx - x * tz,
+        vz + w * tz + x * ty - y * tx,
+    )
+
+
+def _between(a: Rigid, b: Rigid, share: float) -> Rigid:
+    (ax, ay, az), (bx, by, bz) = a.translation, b.translation
+    q, r = a.rotation, b.rotation
+    sign = 1.0 if sum(u * v for u, v in zip(q, r, strict=True)) >= 0 else -1.0
+    # The heading turns evenly, which the mean of two quaternions would not do; the tilt is small.
+    yaw0, yaw1 = planar(a)[2], planar(b)[2]
+    turned = (yaw1 - yaw0 + np.pi) % (2 * np.pi) - np.pi
+    x, y, z, w = (u + share * (sign * v - u) for u, v in zip(q, r, strict=True))
+    norm = sqrt(x * x + y * y + z * z + w * w) or 1.0
+    mixed = Rigid(
+        (ax + share * (bx - ax), ay + share * (by - ay), az + share * (bz - az)),
+        (x / norm, y / norm, z / norm, w / norm),
+    )
+    half = (yaw0 + share * turned - planar(mixed)[2]) / 2
+    return Rigid(mixed.translation, _product((0.0, 0.0, np.sin(half), np.cos(half)), mixed.rotation))
+
+
+class _Edge:
+    """A frame in its parent, over time."""
+
+    __slots__ = ("parent", "poses", "stamps", "static", "weak")
+
+    def __init__(self, parent: str, static: bool, weak: bool):
+        self.parent, self.static, self.weak = parent, static, weak
+        self.stamps: list[float] = []
+        self.poses: list[Rigid] = []
+
+    def put(self, stamp: float, pose: Rigid) -> None:
+        if self.static:
+            self.stamps, self.poses = [stamp], [pose]
+            return
+        if not self.stamps or stamp > self.stamps[-1]:
+            self.stamps.append(stamp)
+            self.poses.append(pose)
+        else:
+            at = bisect_left(self.stamps, stamp)
+            if self.stamps[at] == stamp:
+                self.poses[at] = pose
+            else:
+                self.stamps.insert(at, stamp)
+                self.poses.insert(at, pose)
+        if len(self.stamps) > MAX_SAMPLES or len(self.stamps) % 512 == 0:
+            old = max(bisect_left(self.stamps, self.stamps[-1] - KEEP_S) - 1, len(self.stamps) - MAX_SAMPLES, 0)
+            del self.stamps[:old], self.poses[:old]
+
+    def at(self, stamp: float, reach: float) -> Rigid | None:
+        stamps, poses = self.stamps, self.poses
+        if self.static:
+            return poses[0]
+        after = bisect_right(stamps, stamp)
+        if after and stamps[after - 1] == stamp:
+            return poses[after - 1]
+        if after == 0:
+            return poses[0] if stamps[0] - stamp <= reach else None
+        if after == len(stamps):
+            if stamp - stamps[-1] > reach:
+                return None
+            if after == 1:
+                return poses[0]
+            after -= 1  # what it did last it is taken to go on with
+        start, end = stamps[after - 1], stamps[after]
+        a, b = poses[after - 1], poses[after]
+        if end - start > JUMP_S and _moved(a, b):
+            return None if stamp <= end else b
+        return _between(a, b, (stamp - start) / (end - start))
+
+
+def _moved(a: Rigid, b: Rigid) -> bool:
+    (x0, y0, yaw0), (x1, y1, yaw1) = planar(a), planar(b)
+    return hypot(x1 - x0, y1 - y0) > JUMP_M or abs((yaw1 - yaw0 + np.pi) % (2 * np.pi) - np.pi) > JUMP_RAD
+
+
+class Transforms:
+    """The transforms heard so far, of bounded number."""
+
+    def __init__(self) -> None:
+        self._edges: dict[str, _Edge] = {}
+
+    def put(
+        self,
+        parent: str,
+        child: str,
+        stamp: float,
+        translation: Sequence[float],
+        rotation: Sequence[float],
+        static: bool = False,
+        weak: bool = False,
+    ) -> str | None:
+        """Take the pose of a frame in its parent.
+
+        Args:
+            parent: name of the frame; a leading slash counts for nothing.
+            child: likewise.
+            stamp: s.
+            translation: x, y, z of the child's origin in the parent, m.
+            rotation: quaternion x, y, z, w of the child's axes in the parent.
+            static: holds at all times.
+            weak: gives way to any transform of this child that is not weak (odometry beside tf).
+
+        Returns:
+            None if it was taken, else why not, in a few words.
+        """
+        parent, child = parent.lstrip("/"), child.lstrip("/")
+        if not parent or not child or parent == child:
+            return "a transform without two frames"
+        numbers = (*translation, *rotation)
+        if not all(isfinite(v) for v in numbers) or max(map(abs, numbers)) > _FAR_M:
+            return "a transform that is not finite"
+        x, y, z, w = rotation
+        norm = sqrt(x * x + y * y + z * z + w * w)
+        if not 0.5 < norm < 2.0:
+            return "a rotation that is no unit quaternion"
+        edge = self._edges.get(child)
+        if edge is None or edge.parent != parent or edge.static != static or edge.weak != weak:
+            if edge is not None and ((weak and not edge.weak) or (static and not edge.static)):
+                return None
+            if edge is None and len(self._edges) >= MAX_FRAMES:
+                return f"a transform of frame number {MAX_FRAMES + 1}"
+            if (edge is None or edge.parent != parent) and child in self.line(parent):
+                return "a transform that closes a circle"
+            edge = self._edges[child] = _Edge(parent, static, weak)
+        tx, ty, tz = translation
+        edge.put(float(stamp), Rigid((tx, ty, tz), (x / norm, y / norm, z / norm, w / norm)))
+        return None
+
+    def still(self) -> "Transforms":
+        """A copy with those transforms alone that do not change with time."""
+        copy = Transforms()
+        copy._edges = {child: edge for child, edge in self._edges.items() if edge.static}
+        return copy
+
+    def is_weak(self, frame: str) -> bool:
+        """Whether a frame's place in its parent gives way to any other that is told."""
+        return frame in self._edges and self._edges[frame].weak
+
+    def __contains__(self, frame: str) -> bool:
+        return frame in self._edges or any(edge.parent == frame for edge in self._edges.values())
+
+    def children(self) -> list[str]:
+        """Names of all frames that have a parent."""
+        return list(self._edges)
+
+    def line(self, frame: str) -> list[str]:
+        """A frame, its parent, that one's parent, up to the root."""
+        names = [frame.lstrip("/")]
+        while names[-1] in self._edges and len(names) < _DEPTH:
+            names.append(self._edges[names[-1]].parent)
+        return names
+
+    def moves(self, target: str, source: str) -> bool:
+        """Whether any edge between two frames is not static."""
+        edges = self._between(target, source)
+        return edges is None or any(not edge.static for side in edges for edge in side)
+
+    def _between(self, target: str, source: str) -> tuple[list[_Edge], list[_Edge]] | None:
+        """The edges from the target up to the common frame, and from the source up to it."""
+        up, down = self.line(target), self.line(source)
+        shared = next((name for name in down if name in up), None)
+        if shared is None:
+            return None
+        to, of = ([self._edges[name] for name in line[: line.index(shared)]] for line in (up, down))
+        return to, of
+
+    def known(self, target: str, source: str) -> tuple[float, float] | None:
+        """From when until when (s) one frame is known in another; all time if nothing between them moves, None if
+        nothing joins them.
+        """
+        edges = self._between(target, source)
+        if edges is None:
+            return None
+        moving = [edge.stamps for side in edges for edge in side if not edge.static]
+        return max((s[0] for s in moving), default=-np.inf), min((s[-1] for s in moving), default=np.inf)
+
+    def rigid(self, target: str, source: str, stamp: float, reach: float = 0.0) -> Rigid | None:
+        """T_target_source at a time (s), or None where it is not known.
+
+        Args:
+            target: name of a frame.
+            source: likewise.
+            stamp: s.
+            reach: how far outside of its samples an edge still holds, s: before the first as it was then, after the
+                last as it went on.
+        """
+        edges = self._between(target, source)
+        if edges is None:
+            return None
+        up, down = edges
+        result = None
+        for edge in reversed(up):
+            pose = edge.at(stamp, reach)
+            if pose is None:
+                return None
+            result = pose if result is None else compose(result, pose)
+        result = None if result is None else inverse(result)
+        for edge in reversed(down):
+            pose = edge.at(stamp, reach)
+            if pose is None:
+                return None
+            result = pose if result is None else compose(result, pose)
+        return result or IDENTITY
+
+    def pose(self, target: str, source: str, stamp: float, reach: float = 0.0) -> Float[ndarray, "3"] | None:
+        """``rigid`` in the plane: x, y (m), bearing (rad) of the source in the target, or None."""
+        found = self.rigid(target, source, stamp, reach)
+        return None if found is None else np.array(planar(found))
