@@ -8,17 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rosbags.rosbag2
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import ConnectionExtRosbag2
 
+from echogrid.cli import main
 from echogrid.errors import UsageError
-from echogrid.geometry import wrap
+from echogrid.geometry import compose, inverse, wrap
 from echogrid.grid import Grid
 from echogrid.log import Frame
-from echogrid.mapfile import occupancy
+from echogrid.mapfile import occupancy, read_map
+from echogrid.readers import load_log, write_csv
 from echogrid.recording import MAP_PERIOD_S, MAX_MAP_CELLS, MAX_MAPS, Pace, Recorder, _ros_time, _stored
 from echogrid.robot import Robot
 
@@ -32,17 +36,20 @@ def a_grid(rows=7, cols=11, seed=0):
     return Grid(rng.normal(0, 3, (rows, cols)).astype(np.float32), observed, 0.12, (-1.5, 2.25))
 
 
-def a_drive(count=30, seed=0, moving_from=None):
+def a_straight_drive(count):
+    for i in range(count):
+        ranges = np.linspace(0.5, 6, ROBOT.sonars)
+        yield Frame(START + i, np.array([0.1 * i, 0.05 * i, 0.01 * i]), np.where(ranges < 4, ranges, np.inf))
+
+
+def a_drive(count=30, seed=0):
     rng = np.random.default_rng(seed)
     for i in range(count):
         ranges = rng.uniform(ROBOT.min_range_m, ROBOT.max_range_m, ROBOT.sonars)
         ranges[rng.random(ROBOT.sonars) < 0.2] = np.inf
         ranges[rng.random(ROBOT.sonars) < 0.2] = np.nan
-        mounts = None
-        if moving_from is not None and i >= moving_from:
-            mounts = ROBOT.mounts + rng.normal(0, 0.01, ROBOT.mounts.shape)
         pose = np.array([*rng.uniform(-50, 50, 2), rng.uniform(-9, 9)])
-        yield Frame(START + 0.2 * i, pose, ranges, mounts=mounts)
+        yield Frame(START + 0.2 * i, pose, ranges)
 
 
 def record(path, frames, grids=(), last=None):
@@ -144,27 +151,67 @@ def test_sonars_that_stay_where_they_are_stand_on_tf_static_once(tmp_path, messa
     assert_same_pose([planar(at.transform) for at in message.transforms], ROBOT.mounts)
 
 
-@pytest.mark.parametrize("moving_from", [0, 2])
-def test_sonars_that_fired_elsewhere_are_on_tf_from_then_on(tmp_path, moving_from):
-    frames = list(a_drive(4, moving_from=moving_from))
-    frames.append(Frame(START + 1, np.zeros(3), np.full(ROBOT.sonars, 1.0)))
+def test_sonars_that_fired_elsewhere_do_so_from_where_the_robot_then_was(tmp_path):
+    frames = [*sequential(20), Frame(START + 30, np.array([1.0, 2, 3]), np.ones(ROBOT.sonars))]
     record(tmp_path / "map.mcap", frames)
-    messages = list(by_rosbags(tmp_path / "map.mcap"))
-    assert sum(topic == "/tf_static" for topic, _, _ in messages) == (moving_from > 0)
-    for i, message in enumerate(message for topic, _, message in messages if topic == "/tf"):
-        robot, *sonars = message.transforms
-        assert robot.child_frame_id == "base_link"
-        assert len(sonars) == (ROBOT.sonars if i >= moving_from else 0)
-        if sonars:
-            expected = ROBOT.mounts if frames[i].mounts is None else frames[i].mounts
-            assert [at.child_frame_id for at in sonars] == [f"sonar_{k}" for k in range(ROBOT.sonars)]
-            assert_same_pose([planar(at.transform) for at in sonars], expected)
+    poses, heard, log_times = {}, {}, []
+    for topic, log_time, message in by_rosbags(tmp_path / "map.mcap"):
+        log_times.append(log_time)
+        if topic == "/tf":
+            (at,) = message.transforms
+            poses[seconds(at.header.stamp)] = planar(at.transform)
+        elif topic.startswith("/sonar_"):
+            heard.setdefault(int(topic.removeprefix("/sonar_")), []).append(seconds(message.header.stamp))
+    assert log_times == sorted(log_times)
+    before = 0.0
+    for k, frame in enumerate(frames):
+        for i in range(ROBOT.sonars):
+            stamp = heard[i][k]
+            assert before < stamp <= frame.stamp + 1e-6
+            looked = compose(frame.pose, mounts_of(frame)[i])
+            assert_same_pose(compose(np.array(poses[stamp]), ROBOT.mounts[i]), looked)
+        before = frame.stamp
+
+
+def mounts_of(frame):
+    return ROBOT.mounts if frame.mounts is None else frame.mounts
+
+
+def sequential(count):
+    """Frames of sonars that fired one after another, two at a time, on a robot that drives and turns."""
+    for k in range(count):
+        end = np.array([0.3 * k, 0.1 * k, 0.4 * k])
+        ago = (ROBOT.sonars - 1 - np.arange(ROBOT.sonars)) // 2 / ROBOT.sonars * 2
+        then = end - ago[:, None] * [0.3, 0.1, 0.4]
+        mounts = compose(inverse(end), compose(then, ROBOT.mounts))
+        yield Frame(START + k, end, np.linspace(0.5, 4, ROBOT.sonars), mounts=mounts)
+
+
+@pytest.mark.parametrize("drive", [a_straight_drive, sequential])
+def test_our_own_reader_finds_the_same_frames(tmp_path, drive):
+    frames = list(drive(20))
+    log = load_log(record(tmp_path / "map.mcap", frames))
+    assert log.robot is not None
+    np.testing.assert_allclose(log.robot.mounts, ROBOT.mounts, atol=1e-6)
+    assert log.robot.beam_width_rad == pytest.approx(ROBOT.beam_width_rad)
+    assert (log.robot.min_range_m, log.robot.max_range_m) == pytest.approx((ROBOT.min_range_m, ROBOT.max_range_m))
+    got = list(log)
+    assert len(got) == len(frames)
+    for read, frame in zip(got, frames, strict=True):
+        assert read.stamp == pytest.approx(frame.stamp, abs=1e-6)
+        assert_same_pose(read.pose, frame.pose)
+        np.testing.assert_allclose(read.ranges, frame.ranges, rtol=1e-6)
+        assert (read.mounts is None) == (frame.mounts is None)
+        off = mounts_of(read) - mounts_of(frame)
+        np.testing.assert_allclose(off[:, :2], 0, atol=1e-5)
+        np.testing.assert_allclose(wrap(off[:, 2]), 0, atol=1e-5)
 
 
 def test_only_the_map_and_the_static_frames_are_latched_and_all_is_reliable(tmp_path):
     record(tmp_path / "map.mcap", a_drive(1))
     with AnyReader([tmp_path / "map.mcap"]) as reader:
         for connection in reader.connections:
+            assert isinstance(connection.ext, ConnectionExtRosbag2)
             (qos,) = connection.ext.offered_qos_profiles
             assert qos.reliability.name == "RELIABLE"
             latched = connection.topic in ("/map", "/tf_static")
@@ -178,6 +225,8 @@ def test_it_is_a_recording_of_ros2_with_all_definitions_in_compressed_chunks(tmp
         reader = make_reader(file)
         assert reader.get_header().profile == "ros2"
         summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
     assert {schema.name: schema.encoding for schema in summary.schemas.values()} == dict.fromkeys(
         ["nav_msgs/msg/OccupancyGrid", "sensor_msgs/msg/Range", "tf2_msgs/msg/TFMessage"], "ros2msg"
     )
@@ -295,3 +344,32 @@ def test_a_disk_that_fills_up_is_one_clear_line_and_leaves_nothing(tmp_path, mon
     with pytest.raises(UsageError, match=r"map.mcap: found No space left"):
         record(tmp_path / "map.mcap", a_drive(1))
     assert list(tmp_path.iterdir()) == []
+
+
+# The command.
+
+
+def test_the_command_writes_it_beside_the_map(tmp_path, capsys):
+    log = tmp_path / "drive.csv"
+    write_csv(log, a_straight_drive(12), ROBOT.sonars)
+    options = ["--interpreter", "cone", "--out", str(tmp_path / "out")]
+    main(["map", str(log), "--mcap", "--pgm", "raw", *options])
+    assert "12 scans" in capsys.readouterr().out
+    names = {"map.mcap", "map.npz", "map.pgm", "map.png", "map.yaml", "run.yaml"}
+    assert set(os.listdir(tmp_path / "out")) == names
+    assert yaml.safe_load((tmp_path / "out" / "map.yaml").read_text())["mode"] == "raw"
+    grid = read_map(tmp_path / "out")
+    last = [message for topic, _, message in by_rosbags(tmp_path / "out" / "map.mcap") if topic == "/map"][-1]
+    np.testing.assert_array_equal(np.reshape(last.data, grid.shape), occupancy(grid))
+    np.testing.assert_allclose([last.info.origin.position.x, last.info.origin.position.y], grid.origin)
+
+
+def test_a_log_that_ros_cannot_hold_leaves_no_folder(tmp_path, capsys):
+    log = tmp_path / "drive.csv"
+    write_csv(log, [Frame(f.stamp - 2 * START, f.pose, f.ranges) for f in a_straight_drive(3)], ROBOT.sonars)
+    with pytest.raises(SystemExit, match="2"):
+        main(["map", str(log), "--mcap", "--interpreter", "cone", "--out", str(tmp_path / "out")])
+    assert capsys.readouterr().err.startswith(
+        f"echogrid: {tmp_path / 'out' / 'map.mcap'}: found a scan at -1700000000.25 s"
+    )
+    assert os.listdir(tmp_path) == ["drive.csv"]

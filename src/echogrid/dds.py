@@ -1,16 +1,17 @@
 """The messages and topics of ROS 2 over DDS (Cyclone DDS), with no ROS installed.
 
-What DDS exposes. A participant of DDS opens UDP ports: 7400 + 250 * domain for multicast discovery, one beside it, and
-one of the system's choice, on which data arrive. Nothing of what comes in is authenticated and nothing that goes out
-is encrypted: whoever can send to these ports can publish ranges, transforms and odometry, which go into the map, and
-whoever listens can read the map. So ``Network`` keeps to loopback unless another interface is named. Cyclone DDS binds
-its sockets to the address 0.0.0.0 whatever interface its configuration names; on Linux ``Network`` therefore ties them
-to loopback itself (SO_BINDTODEVICE), or, where an interface is named, lets the kernel drop what comes in through any
-other (SO_ATTACH_FILTER; programs on the same machine still get through). Elsewhere than on Linux a firewall has to do
-this, and ``Network.kept`` is False.
+What DDS exposes. A participant of DDS opens UDP ports: 7400 + 250 * domain for multicast discovery, the next but one
+or so for unicast discovery and data. Nothing of what comes in is authenticated and nothing that goes out is
+encrypted: whoever can send to these ports can publish ranges, transforms and odometry, which go into the map, and
+whoever listens can read the map. So ``Network`` keeps to loopback unless another interface is named.
 
-What comes in is bounded in size here (MAX_MESSAGE_BYTES) and judged in ``echogrid.live``. Cyclone DDS itself reads the
-packets; a flood of them costs time and memory that nothing here can bound.
+Cyclone DDS binds its sockets to the address 0.0.0.0 whatever interface its configuration names. On Linux ``Network``
+therefore ties them to loopback itself (SO_BINDTODEVICE), or, where another interface is named, lets the kernel drop
+what comes in through any but that and loopback (SO_ATTACH_FILTER), for the robot's own programs talk through both.
+Elsewhere than on Linux a firewall has to do this, and ``Network.kept`` is False.
+
+What comes in is bounded in size here (MAX_MESSAGE_BYTES) and judged in ``echogrid.live``. Cyclone DDS itself reads
+the packets; a flood of them costs time and memory that nothing here can bound.
 
 The names and types are those by which ROS 2 puts its messages on DDS: topic ``/map`` is ``rt/map``, type
 ``nav_msgs/msg/OccupancyGrid`` is ``nav_msgs::msg::dds_::OccupancyGrid_``, all structs are final.
@@ -23,17 +24,18 @@ import socket
 import stat
 import struct
 import sys
+import time
 from collections import Counter
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 from cyclonedds.core import DDSException, InstanceState, Policy, Qos, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import Domain, DomainParticipant
-from cyclonedds.idl import IdlStruct
+from cyclonedds.idl import IdlStruct, make_idl_struct
 from cyclonedds.idl.types import array, float32, float64, int8, int32, sequence, uint8, uint32
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
@@ -41,21 +43,17 @@ from cyclonedds.topic import Topic
 
 from echogrid.errors import UsageError
 from echogrid.live import Heard, Picture
+from echogrid.messages import Choice
+from echogrid.robot import MAX_SONARS
 
 MAX_MESSAGE_BYTES = 256 * 1024
 """A longer message is refused: room for about 2,000 transforms."""
-
-MAX_TOPICS = 512
-"""Topics of ranges that are listened to at most."""
 
 _MAX_SAMPLE_BYTES = 64 * 1024 * 1024
 """What Cyclone DDS takes or sends at most, a map among it."""
 
 _DEPTH = 4_000
 """Messages of a topic that wait here at most, while the network of the map is being compiled for instance."""
-
-_ANSWERS = 64
-"""Messages that are taken at a time."""
 
 
 class Refused:
@@ -67,183 +65,73 @@ class Refused:
         self.reason = reason
 
 
-class _Bounded:
-    """Comes before IdlStruct: decoding refuses in place of raising, so that one bad message takes no other with it."""
+def _message(name: str, **fields: Any) -> Any:
+    """A message of ROS as a final struct of DDS; made by a call, for tools that read hints choke on such classes."""
+    package, kind = name.split("/")
+    return make_idl_struct(kind, f"{package}.msg.dds_.{kind}_", fields)
 
-    @classmethod
-    def deserialize(cls, data: bytes, *args: Any, **kwargs: Any) -> Any:
+
+def _bounded(kind: Any) -> Any:
+    """Have a type's decoding refuse, not raise, so that one bad message takes no other with it."""
+    decode = kind.deserialize
+
+    def deserialize(data: bytes, *args: Any, **kwargs: Any) -> Any:
         if len(data) > MAX_MESSAGE_BYTES:
             return Refused("a message that is too long")
         try:
-            return super().deserialize(data, *args, **kwargs)  # ty: ignore[unresolved-attribute]
+            return decode(data, *args, **kwargs)
         except Exception:  # strangers decide what is in it, and the decoder raises whatever its steps raise
             return Refused("a message that cannot be decoded")
 
-
-@dataclass
-class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
-    """builtin_interfaces/Time."""
-
-    sec: int32
-    nanosec: uint32
+    kind.deserialize = staticmethod(deserialize)
+    return kind
 
 
-@dataclass
-class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
-    """std_msgs/Header."""
+Time = _message("builtin_interfaces/Time", sec=int32, nanosec=uint32)
+Header = _message("std_msgs/Header", stamp=Time, frame_id=str)
+Vector3 = _message("geometry_msgs/Vector3", x=float64, y=float64, z=float64)
+Point = _message("geometry_msgs/Point", x=float64, y=float64, z=float64)
+Quaternion = _message("geometry_msgs/Quaternion", x=float64, y=float64, z=float64, w=float64)
+Transform = _message("geometry_msgs/Transform", translation=Vector3, rotation=Quaternion)
+TransformStamped = _message("geometry_msgs/TransformStamped", header=Header, child_frame_id=str, transform=Transform)
+TFMessage = _bounded(_message("tf2_msgs/TFMessage", transforms=sequence[TransformStamped]))
+Pose = _message("geometry_msgs/Pose", position=Point, orientation=Quaternion)
+PoseWithCovariance = _message("geometry_msgs/PoseWithCovariance", pose=Pose, covariance=array[float64, 36])
+Twist = _message("geometry_msgs/Twist", linear=Vector3, angular=Vector3)
+TwistWithCovariance = _message("geometry_msgs/TwistWithCovariance", twist=Twist, covariance=array[float64, 36])
+Odometry = _bounded(
+    _message(
+        "nav_msgs/Odometry", header=Header, child_frame_id=str, pose=PoseWithCovariance, twist=TwistWithCovariance
+    )
+)
 
-    stamp: Time
-    frame_id: str
+_RANGE = {
+    "header": Header,
+    "radiation_type": uint8,
+    **dict.fromkeys(("field_of_view", "min_range", "max_range", "range"), float32),
+}
 
+Range = _bounded(_message("sensor_msgs/Range", **_RANGE))
+"""As it was up to ROS 2 Humble. It reads the longer message of later releases as well, where the writer does not say
+what its type looks like, and ROS 2's do not."""
 
-@dataclass
-class Vector3(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3_"):
-    """geometry_msgs/Vector3."""
+RangeWithVariance = _bounded(_message("sensor_msgs/Range", **_RANGE, variance=float32))
+"""From ROS 2 Iron on."""
 
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-class Point(IdlStruct, typename="geometry_msgs.msg.dds_.Point_"):
-    """geometry_msgs/Point."""
-
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-class Quaternion(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
-    """geometry_msgs/Quaternion."""
-
-    x: float64
-    y: float64
-    z: float64
-    w: float64
-
-
-@dataclass
-class Transform(IdlStruct, typename="geometry_msgs.msg.dds_.Transform_"):
-    """geometry_msgs/Transform."""
-
-    translation: Vector3
-    rotation: Quaternion
+MapMetaData = _message(
+    "nav_msgs/MapMetaData", map_load_time=Time, resolution=float32, width=uint32, height=uint32, origin=Pose
+)
+OccupancyGrid = _message("nav_msgs/OccupancyGrid", header=Header, info=MapMetaData, data=sequence[int8])
 
 
-@dataclass
-class TransformStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TransformStamped_"):
-    """geometry_msgs/TransformStamped."""
-
-    header: Header
-    child_frame_id: str
-    transform: Transform
+def _serialize(self: Any, *args: Any, **kwargs: Any) -> bytes:
+    """As of any message, but for the cells, which would take a call each."""
+    cells = np.asarray(self.data, dtype=np.int8)
+    bare = IdlStruct.serialize(replace(self, data=[]), *args, **kwargs)
+    return bare[:-4] + struct.pack("=I", cells.size) + cells.tobytes()
 
 
-@dataclass
-class TFMessage(_Bounded, IdlStruct, typename="tf2_msgs.msg.dds_.TFMessage_"):
-    """tf2_msgs/TFMessage."""
-
-    transforms: sequence[TransformStamped]
-
-
-@dataclass
-class Pose(IdlStruct, typename="geometry_msgs.msg.dds_.Pose_"):
-    """geometry_msgs/Pose."""
-
-    position: Point
-    orientation: Quaternion
-
-
-@dataclass
-class PoseWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.PoseWithCovariance_"):
-    """geometry_msgs/PoseWithCovariance."""
-
-    pose: Pose
-    covariance: array[float64, 36]
-
-
-@dataclass
-class Twist(IdlStruct, typename="geometry_msgs.msg.dds_.Twist_"):
-    """geometry_msgs/Twist."""
-
-    linear: Vector3
-    angular: Vector3
-
-
-@dataclass
-class TwistWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.TwistWithCovariance_"):
-    """geometry_msgs/TwistWithCovariance."""
-
-    twist: Twist
-    covariance: array[float64, 36]
-
-
-@dataclass
-class Odometry(_Bounded, IdlStruct, typename="nav_msgs.msg.dds_.Odometry_"):
-    """nav_msgs/Odometry."""
-
-    header: Header
-    child_frame_id: str
-    pose: PoseWithCovariance
-    twist: TwistWithCovariance
-
-
-@dataclass
-class Range(_Bounded, IdlStruct, typename="sensor_msgs.msg.dds_.Range_"):
-    """sensor_msgs/Range as it was up to ROS 2 Humble.
-
-    It reads the longer message of later releases as well, where the writer does not say what its type looks like,
-    and ROS 2's do not.
-    """
-
-    header: Header
-    radiation_type: uint8
-    field_of_view: float32
-    min_range: float32
-    max_range: float32
-    range: float32
-
-
-@dataclass
-class RangeWithVariance(_Bounded, IdlStruct, typename="sensor_msgs.msg.dds_.Range_"):
-    """sensor_msgs/Range from ROS 2 Iron on."""
-
-    header: Header
-    radiation_type: uint8
-    field_of_view: float32
-    min_range: float32
-    max_range: float32
-    range: float32
-    variance: float32
-
-
-@dataclass
-class MapMetaData(IdlStruct, typename="nav_msgs.msg.dds_.MapMetaData_"):
-    """nav_msgs/MapMetaData."""
-
-    map_load_time: Time
-    resolution: float32
-    width: uint32
-    height: uint32
-    origin: Pose
-
-
-@dataclass
-class OccupancyGrid(IdlStruct, typename="nav_msgs.msg.dds_.OccupancyGrid_"):
-    """nav_msgs/OccupancyGrid."""
-
-    header: Header
-    info: MapMetaData
-    data: sequence[int8]
-
-    def serialize(self, *args: Any, **kwargs: Any) -> bytes:
-        """As of any message, but for the cells, which would take a call each."""
-        cells = np.asarray(self.data, dtype=np.int8)
-        bare = IdlStruct.serialize(replace(self, data=[]), *args, **kwargs)
-        return bare[:-4] + struct.pack("=I", cells.size) + cells.tobytes()
-
+OccupancyGrid.serialize = _serialize
 
 SENSOR_QOS = Qos(
     Policy.Reliability.BestEffort,
@@ -273,7 +161,21 @@ LOCAL_MAP_QOS = Qos(
 )
 """To send the local map; readers that ask for less match as well."""
 
-RANGE_TYPE = "sensor_msgs::msg::dds_::Range_"
+_FOUND_BY_TYPE: dict[str, tuple[Heard, type, int]] = {
+    "sensor_msgs::msg::dds_::Range_": (Heard.RANGE, Range, MAX_SONARS),
+    "nav_msgs::msg::dds_::Odometry_": (Heard.ODOMETRY, Odometry, 16),
+}
+"""Types whose topics are looked for: what they are, how they are read, and how many topics there may be."""
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """A topic that is listened to."""
+
+    reader: DataReader
+    condition: ReadCondition
+    heard: Heard
+    topic: str
 
 
 def dds_topic(name: str) -> str:
@@ -303,35 +205,23 @@ def configuration(interface: str) -> str:
         multicast = ' multicast="true"' if interface == "lo" else ""
         chosen = f'<NetworkInterface name="{interface}"{multicast}/>'
     return (
-        f"<CycloneDDS><Domain Id=\"any\"><General><Interfaces>{chosen}</Interfaces></General>"
+        f'<CycloneDDS><Domain Id="any"><General><Interfaces>{chosen}</Interfaces></General>'
         f"<Internal><MaxSampleSize>{_MAX_SAMPLE_BYTES}B</MaxSampleSize></Internal></Domain></CycloneDDS>"
     )
-
-
-@dataclass(frozen=True)
-class Topics:
-    """Names of topics in ROS 2."""
-
-    ranges: tuple[str, ...] = ()
-    """sensor_msgs/Range; none: all that there are."""
-    odometry: tuple[str, ...] = ("/odom",)
-    """nav_msgs/Odometry."""
-    map: str = "/map"
-    """Where the map goes."""
-    local_map: str = "/local_map"
-    """Where the local map goes."""
 
 
 class Network:
     """The ROS 2 topics of one domain: those that are heard and those that are sent."""
 
-    def __init__(self, domain: int, interface: str | None, topics: Topics):
+    def __init__(self, domain: int, interface: str | None, choice: Choice, map_topic: str, local_topic: str):
         """Join a domain.
 
         Args:
             domain: its number.
             interface: name of a network interface, or ``any``; None: what the configuration in CYCLONEDDS_URI says.
-            topics: what to hear and to send.
+            choice: the topics of ranges and odometry to hear; those of tf are always heard.
+            map_topic: where the map goes, as ROS 2 names it.
+            local_topic: where the local map goes.
 
         Raises:
             UsageError: there is no such interface or topic, or DDS cannot be started.
@@ -340,9 +230,10 @@ class Network:
         """Messages and topics that were not taken, by reason."""
         self.kept = False
         """Whether the kernel lets nothing in but through the interface that was named."""
-        ranges = [dds_topic(name) for name in topics.ranges]
-        odometry = [dds_topic(name) for name in topics.odometry]
-        map_topic, local_topic = dds_topic(topics.map), dds_topic(topics.local_map)
+        self._choice = choice
+        self._readers: dict[tuple[str, type], _Reader] = {}
+        self._held: list[tuple[int, Heard, str, Any]] = []
+        sent = [dds_topic(name) for name in (map_topic, local_topic)]
         before = _sockets()
         try:
             # None leaves it to Cyclone DDS, which looks at CYCLONEDDS_URI.
@@ -351,82 +242,80 @@ class Network:
                 self.kept = _keep_to(interface, _sockets() - before)
             self._participant = DomainParticipant(domain)
         except DDSException as error:
+            found = f"DDS that does not start ({error})"
             raise UsageError(
-                f"live: found DDS that cannot start ({error}), expected a domain of 0 to 232 and an interface that is up"
+                f"live: found {found}, expected a domain of 0 to 232 and an interface that is up"
             ) from None
         self._waitset = WaitSet(self._participant)
-        self._readers: dict[tuple[str, type], tuple[DataReader, ReadCondition, Heard, str]] = {}
-        self._found_by_type = not ranges
         self._discovery = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
-        self._waitset.attach(self._discovery)
+        # Transforms first: a range that comes with them finds its pose.
         self._listen("rt/tf_static", TFMessage, STATIC_QOS, Heard.STATIC)
         self._listen("rt/tf", TFMessage, SENSOR_QOS, Heard.TF)
-        for name in odometry:
-            self._listen(name, Odometry, SENSOR_QOS, Heard.ODOMETRY)
-        self._named = set(ranges)
-        for name in ranges:
-            self._listen(name, Range, SENSOR_QOS, Heard.RANGE)
-        self._map = DataWriter(self._participant, Topic(self._participant, map_topic, OccupancyGrid), MAP_QOS)
-        self._local = DataWriter(
-            self._participant, Topic(self._participant, local_topic, OccupancyGrid), LOCAL_MAP_QOS
+        self._map, self._local = (
+            DataWriter(self._participant, Topic(self._participant, name, OccupancyGrid), qos)
+            for name, qos in zip(sent, (MAP_QOS, LOCAL_MAP_QOS), strict=True)
         )
 
-    def _listen(self, name: str, kind: type[IdlStruct], qos: Qos, heard: Heard) -> None:
-        if (name, kind) in self._readers:
-            return
-        reader = DataReader(self._participant, Topic(self._participant, name, kind), qos)
-        condition = ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.NotRead)
-        self._waitset.attach(condition)
-        self._readers[name, kind] = reader, condition, heard, name.removeprefix("rt")
+    def _listen(self, name: str, kind: type, qos: Qos, heard: Heard) -> None:
+        if (name, kind) not in self._readers:
+            reader = DataReader(self._participant, Topic(self._participant, name, kind), qos)
+            condition = ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.NotRead)
+            self._waitset.attach(condition)
+            self._readers[name, kind] = _Reader(reader, condition, heard, name.removeprefix("rt"))
 
-    @property
-    def range_topics(self) -> list[str]:
-        """The topics of ranges that are listened to, in ROS 2's names."""
-        return sorted({name for _, _, heard, name in self._readers.values() if heard is Heard.RANGE})
+    def topics(self, heard: Heard) -> list[str]:
+        """The topics of a kind that are listened to, as ROS 2 names them."""
+        return sorted({reader.topic for reader in self._readers.values() if reader.heard is heard})
 
     def wait(self, seconds: float) -> None:
         """Return when something has come, or after some time."""
-        self._waitset.wait(int(seconds * 1e9))
+        if not self._held:
+            self._waitset.wait(int(seconds * 1e9))
 
-    def take(self) -> Iterator[tuple[Heard, str, Any]]:
-        """What has come: of which kind, on which topic (ROS 2's name), and the message."""
-        self._discover()
-        # Transforms first: a range that comes with them finds its pose.
-        for reader, _, heard, name in list(self._readers.values()):
-            while True:
-                try:
-                    samples = reader.take(_ANSWERS)
-                except Exception:  # as in _Bounded, but for what is no message
-                    self.refused["messages that cannot be taken"] += 1
-                    break
-                for sample in samples:
-                    if isinstance(sample, Refused):
-                        self.refused[sample.reason] += 1
-                    elif sample.sample_info.valid_data:
-                        yield heard, name, sample
-                if len(samples) < _ANSWERS:
-                    break
+    def take(self) -> list[tuple[Heard, str, Any]]:
+        """What has come, as it was sent: of which kind, on which topic (ROS 2's name), and the message."""
+        found, self._held, begin = self._held, [], time.time_ns()
+        for reader in self._readers.values():
+            try:
+                samples = reader.reader.take(_DEPTH)
+            except Exception:  # as in _bounded, but for what is no message
+                self.refused["messages that cannot be taken"] += 1
+                continue
+            for sample in samples:
+                if isinstance(sample, Refused):
+                    self.refused[sample.reason] += 1
+                elif sample.sample_info.valid_data:
+                    sent = sample.sample_info.source_timestamp
+                    # What came since waits, so that no topic runs ahead of those that were looked at before it.
+                    (found if sent < begin else self._held).append((sent, reader.heard, reader.topic, sample))
+        found.sort(key=itemgetter(0))
+        return [(heard, topic, sample) for _, heard, topic, sample in found]
 
-    def _discover(self) -> None:
+    def discover(self) -> None:
+        """Listen to the topics of ranges and odometry that have got a writer."""
         try:
-            endpoints = self._discovery.take(_ANSWERS)
+            endpoints = self._discovery.take(_DEPTH)
         except Exception:  # the description of an endpoint comes from strangers too
             self.refused["descriptions of writers that cannot be taken"] += 1
             return
         for endpoint in endpoints:
-            name = endpoint.topic_name or ""
-            if endpoint.type_name != RANGE_TYPE or not (self._found_by_type or name in self._named):
-                continue
-            if len(self._readers) >= MAX_TOPICS:
-                self.refused["topics of ranges beyond the first"] += 1
-                continue
-            try:
-                dds_topic(name.removeprefix("rt"))
-                self._listen(name, Range, SENSOR_QOS, Heard.RANGE)
-                if endpoint.type_id is not None:
-                    self._listen(name, RangeWithVariance, SENSOR_QOS, Heard.RANGE)
-            except (UsageError, DDSException):
-                self.refused["topics of ranges whose name cannot be"] += 1
+            if endpoint.type_name in _FOUND_BY_TYPE and endpoint.topic_name:
+                self._follow(endpoint.topic_name, *_FOUND_BY_TYPE[endpoint.type_name], endpoint.type_id is not None)
+
+    def _follow(self, name: str, heard: Heard, kind: type, most: int, typed: bool) -> None:
+        topic = name.removeprefix("rt")
+        if name == topic or not self._choice.takes(topic):
+            return
+        if len(self.topics(heard)) >= most and topic not in self.topics(heard):
+            self.refused[f"topics of {heard.value} beyond the first {most}"] += 1
+            return
+        try:
+            dds_topic(topic)
+            self._listen(name, kind, SENSOR_QOS, heard)
+            if typed and heard is Heard.RANGE:
+                self._listen(name, RangeWithVariance, SENSOR_QOS, heard)
+        except (UsageError, DDSException):
+            self.refused["topics that cannot be listened to"] += 1
 
     def send(self, picture: Picture) -> None:
         """Send a map, or a local map."""
@@ -436,7 +325,8 @@ class Network:
         origin = Pose(Point(*picture.origin, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
         info = MapMetaData(stamp, picture.resolution, cols, rows, origin)
         message = OccupancyGrid(Header(stamp, picture.frame), info, picture.cells.ravel())
-        (self._local if picture.local else self._map).write(message)
+        with suppress(DDSException):  # a reader that takes nothing costs the others no more than this map
+            (self._local if picture.local else self._map).write(message)
 
 
 def _sockets() -> set[int]:

@@ -7,7 +7,7 @@ bounded. What is not taken is counted by reason.
 import re
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from itertools import islice
 from math import hypot, inf, isfinite, nan
@@ -17,11 +17,11 @@ import numpy as np
 from jaxtyping import Float, Int8
 from numpy import ndarray
 
-from echogrid.errors import EchogridError
 from echogrid.grid import Grid
 from echogrid.log import Frame
 from echogrid.mapfile import occupancy
-from echogrid.mapper import BATCH, SIZES, Mapper
+from echogrid.mapper import Mapper
+from echogrid.messages import Choice, seconds
 from echogrid.robot import MAX_SONARS, Robot, robot_yaml
 from echogrid.scans import Scans, base_of, beam_width, fixed_of, mount, reading, robot_of
 from echogrid.set_network import SetNetwork
@@ -40,9 +40,9 @@ LEAPS = 20
 """Messages in a row with stamps of another clock, after which that one is taken for the robot's."""
 
 LAG_S = 0.25
-"""A pose is waited for until readings are so far ahead of the transforms; then the robot is taken to go on as it did."""
+"""A pose is waited for until readings are so far ahead of the transforms; then the robot is taken to go on."""
 
-REACH_S = 1.0
+REACH_S = 0.5
 """How far past the newest transform a pose is taken from it at most."""
 
 MAP_EVERY_S = 1.0
@@ -62,6 +62,12 @@ MAX_WAITING = 50_000
 
 MAX_MOVES = 200_000
 """Transforms kept until the array is known."""
+
+MAX_READY = 5_000
+"""Scans that wait to be mapped."""
+
+AT_ONCE = 10
+"""Scans that are mapped before it is looked again what has come."""
 
 MAX_TRANSFORMS = 2_000
 """Transforms that are read from one message."""
@@ -85,10 +91,8 @@ class Heard(Enum):
 class Settings:
     """What the user may choose."""
 
-    fixed: str | None = None
-    """Frame to map in; None: ``map`` if tf leads up to one, else the highest."""
-    base: str | None = None
-    """Frame of the robot; None: the first below the frames that stand still."""
+    choice: Choice = field(default_factory=Choice)
+    """Which topics and frames."""
     resolution: float | None = None
     """Side of a cell, m; None: the mapper's own."""
     half_life: float | None = None
@@ -208,6 +212,7 @@ class Live:
         self._said: set[str] = set()
         self._transforms, self._moves = Transforms(), 0
         self._clock = _Clock()
+        self._odometry: dict[str, str] = {}
         self._sonars: dict[str, _Sonar] = {}
         self._waiting: deque[tuple[str, float, float]] = deque(maxlen=MAX_WAITING)
         self._array: _Array | None = None
@@ -216,7 +221,8 @@ class Live:
         self._grew = -inf
         self._low, self._high = np.full(2, inf), np.full(2, -inf)
         self._path = Path()
-        self._stamp = 0.0
+        self._ready: deque[Frame] = deque()
+        self._last: Frame | None = None
         self._changed = False
         self._map_due = self._check_due = self._rebuild_due = -inf
         self._last_range = -inf
@@ -225,11 +231,12 @@ class Live:
 
     # Messages in.
 
-    def take(self, heard: Heard, message: Any, now: float) -> None:
+    def take(self, heard: Heard, topic: str, message: Any, now: float) -> None:
         """Take a message; one that cannot be used is counted and does no harm.
 
         Args:
             heard: of which kind.
+            topic: on which it came.
             message: it has the attributes of that kind, but anything may be in them.
             now: the caller's clock, s, which only has to go on.
         """
@@ -237,7 +244,7 @@ class Live:
             if heard is Heard.RANGE:
                 self._take_range(message, now)
             elif heard is Heard.ODOMETRY:
-                self._take_odometry(message)
+                self._take_odometry(topic, message)
             else:
                 self._take_transforms(message, heard is Heard.STATIC)
         except _Refusal as refusal:
@@ -270,8 +277,11 @@ class Live:
             except _Refusal as refusal:
                 self._refused[str(refusal)] += 1
 
-    def _take_odometry(self, message: Any) -> None:
-        parent, child = _name(message.header.frame_id), _name(message.child_frame_id)
+    def _take_odometry(self, topic: str, message: Any) -> None:
+        parent, child = _name(message.header.frame_id or "odom"), _name(message.child_frame_id or "base_link")
+        # Two that know better than each other would make the robot jump to and fro.
+        if len(self._odometry) >= MAX_SONARS or topic != self._odometry.setdefault(child, topic):
+            raise _Refusal("odometry on a second topic")
         pose = message.pose.pose
         self._put(parent, child, message.header, pose.position, pose.orientation, weak=True)
 
@@ -285,10 +295,9 @@ class Live:
                 self._leap(stamp)
             self._moves += 1
             if self._array is None and self._moves > MAX_MOVES:
-                self._transforms.forget()
-                self._moves = 0
+                self._transforms, self._moves = self._transforms.still(), 0
         numbers = [[float(getattr(part, axis)) for axis in axes] for part, axes in ((place, "xyz"), (turn, "xyzw"))]
-        reason = self._transforms.put(parent, child, stamp, *numbers, **kind)
+        reason = self._transforms.put(parent, child, stamp, numbers[0], numbers[1], **kind)
         if reason is not None:
             raise _Refusal(reason)
 
@@ -321,7 +330,7 @@ class Live:
     def _leap(self, stamp: float) -> None:
         """The robot's clock has jumped to a stamp: nothing waits for what was before."""
         self._refused["a clock that jumped"] += 1
-        self._transforms.forget()
+        self._transforms, self._moves = self._transforms.still(), 0
         self._waiting.clear()
         self._newest_reading = self._grew = stamp
         if self._array is not None:
@@ -329,6 +338,11 @@ class Live:
             self._array.begin(self._transforms)
 
     # Time goes on.
+
+    @property
+    def busy(self) -> bool:
+        """Whether scans wait to be mapped."""
+        return bool(self._ready)
 
     def step(self, now: float) -> list[Picture]:
         """Map what has come, and say what is to be published.
@@ -347,8 +361,9 @@ class Live:
             return []
         known = self._transforms.known(self._array.fixed, self._array.base)
         behind = known is not None and self._newest_reading - known[1] > LAG_S
+        self._gather(REACH_S if behind else 0.0)
         pictures = []
-        if self._map_frames(list(self._array.scans.frames(REACH_S if behind else 0.0))):
+        if self._map_some(AT_ONCE):
             pictures.append(self._picture(local=True))
         if self._changed and now >= self._map_due:
             self._changed, self._map_due = False, now + MAP_EVERY_S
@@ -360,7 +375,8 @@ class Live:
         if self._array is None:
             self._settle()
         if self._array is not None:
-            self._map_frames(list(self._array.scans.frames(REACH_S, final=True)))
+            self._gather(REACH_S, final=True)
+            self._map_some(len(self._ready))
 
     def snapshot(self) -> Snapshot | None:
         """The map to be saved; None if there is none yet."""
@@ -420,8 +436,8 @@ class Live:
         """The frame to map in and the robot's, as soon as both are known."""
         bases = Counter(base_of(self._transforms, frame) for frame in self._sonars if frame in self._transforms)
         for base, _ in bases.most_common():
-            base = self.settings.base or base
-            fixed = self.settings.fixed or fixed_of(self._transforms, base)
+            base = self.settings.choice.base or base
+            fixed = self.settings.choice.fixed or fixed_of(self._transforms, base)
             if fixed is not None and fixed != base and self._transforms.known(fixed, base) is not None:
                 return fixed, base
         return None
@@ -435,9 +451,7 @@ class Live:
         if not mounts:
             return
         self._array = _Array(*frames, mounts, self._robot(mounts), self._transforms)
-        self._mapper = Mapper(
-            self._array.robot, self._network, self.settings.resolution, self.settings.half_life
-        )
+        self._mapper = Mapper(self._array.robot, self._network, self.settings.resolution, self.settings.half_life)
         _compile(self._mapper, self._newest_reading)
         self._notices.append(
             f"mapping in {frames[0]} with {len(mounts)} sonars of {frames[1]}: {_listed(self._array.numbers)}"
@@ -499,21 +513,28 @@ class Live:
 
     # Maps out.
 
-    def _map_frames(self, frames: list[Frame]) -> bool:
+    def _gather(self, reach: float, final: bool = False) -> None:
+        """Take the scans that are complete."""
+        if self._array is None:
+            return
+        for frame in self._array.scans.frames(reach, final):
+            if len(self._ready) >= MAX_READY:
+                self._refused["a scan too many to keep up with"] += 1
+            elif self._fits(frame.pose):
+                self._ready.append(frame)
+
+    def _map_some(self, most: int) -> bool:
         """Put scans into the map; whether there was one."""
-        fitting = [frame for frame in frames if self._fits(frame.pose)]
-        if not fitting or self._mapper is None:
+        if not self._ready or self._mapper is None:
             return False
-        try:
-            self._mapper.add(fitting)
-        except EchogridError as error:
-            self._say_once(str(error))
-            return False
-        self.scans += len(fitting)
-        for frame in fitting:
+        for _ in range(min(most, len(self._ready))):
+            frame = self._last = self._ready.popleft()
+            # Always one scan, always with mounts: that is one program to compile, which takes seconds.
+            mounts = self._mapper.robot.mounts if frame.mounts is None else frame.mounts
+            self._mapper.add([replace(frame, mounts=mounts)])
             self._path.add(float(frame.pose[0]), float(frame.pose[1]))
-        self._stamp, self._changed = fitting[-1].stamp, True
-        self._pose = fitting[-1].pose
+            self.scans += 1
+        self._changed = True
         return True
 
     def _fits(self, pose: Float[ndarray, "3"]) -> bool:
@@ -528,9 +549,10 @@ class Live:
     def _picture(self, local: bool) -> Picture:
         assert self._mapper is not None
         assert self._array is not None
-        x, y = (float(v) for v in self._pose[:2])
+        assert self._last is not None
+        x, y = (float(v) for v in self._last.pose[:2])
         grid = self._mapper.around(x, y, self.settings.local_side) if local else self._mapper.grid()
-        return Picture(occupancy(grid), grid.resolution, grid.origin, self._stamp, self._array.fixed, local)
+        return Picture(occupancy(grid), grid.resolution, grid.origin, self._last.stamp, self._array.fixed, local)
 
 
 _REACH_M = 8.0
@@ -568,19 +590,16 @@ def _with_robot(mapper: Mapper, robot: Robot, network: SetNetwork) -> Mapper:
 
 
 def _compile(mapper: Mapper, stamp: float) -> None:
-    """Have the network compiled now for all that may come, not when the first scan waits for it."""
+    """Have the network compiled now, not when the first scan waits for it."""
     far = np.array([1e6, 1e6, 0.0])
-    nothing = np.full(mapper.robot.sonars, nan)
-    for mounts in (None, mapper.robot.mounts):
-        for size in SIZES:
-            mapper.prepare([Frame(stamp, far, nothing, mounts=mounts)] * min(size, BATCH))()
+    mapper.prepare([Frame(stamp, far, np.full(mapper.robot.sonars, nan), mounts=mapper.robot.mounts)])()
 
 
 def _stamp(header: Any) -> float:
     sec, nanosec = int(header.stamp.sec), int(header.stamp.nanosec)
     if sec < 0 or not 0 <= nanosec < 10**9 or sec > 2**32:
         raise _Refusal("a stamp that cannot be")
-    return sec + nanosec * 1e-9
+    return seconds(header.stamp)
 
 
 def _name(name: str) -> str:

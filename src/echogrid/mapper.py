@@ -1,6 +1,7 @@
 """The set network's map: scans read together, their evidence summed window by window, fading if it is asked to."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -13,7 +14,7 @@ from echogrid.grid import Grid, GrowingGrid, Layers
 from echogrid.log import Frame
 from echogrid.memory import TRAITS, Memory
 from echogrid.robot import Robot
-from echogrid.set_network import REACH_M, SetNetwork
+from echogrid.set_network import REACH_M, SetNetwork, array_of, asked, moved_view, view
 
 BATCH = 64
 """Scans that are interpreted together; few enough to stay in the cache."""
@@ -125,7 +126,9 @@ class Mapper:
         self._network = network
         self._side = int(np.ceil(2 * REACH_M / self.resolution)) + 2
         span = self._side + int(np.ceil(WINDOW_M / self.resolution)) + 1
-        self._window = _windower(robot, network, self.resolution, self._side, span)
+        array = array_of(robot.mounts, robot.max_range_m, robot.footprint_radius_m)
+        given = jax.tree.map(jnp.asarray, (network.weights, array))
+        self._window = partial(_window, *given, resolution=self.resolution, side=self._side, span=span)
         blank = dict.fromkeys(SUMS, np.float32(0)[...]) | {"views": np.int32(0)[...]}
         self._grown = GrowingGrid(self.resolution, blank)
         self._memory = Memory(robot.mounts, half_life)
@@ -166,9 +169,10 @@ class Mapper:
             weight[: len(batch)] *= np.exp2((stamps - self._epoch) / self.half_life)
         mounts = None
         if any(frame.mounts is not None for frame in batch):
-            mounts = np.tile(self.robot.mounts.astype(np.float32), (size, 1, 1))
+            looked = np.tile(self.robot.mounts, (size, 1, 1))
             for k, frame in enumerate(batch):
-                mounts[k] = mounts[k] if frame.mounts is None else frame.mounts
+                looked[k] = looked[k] if frame.mounts is None else frame.mounts
+            mounts = looked.astype(np.float32), asked(looked)
         corner, end = at.first.min(axis=0), at.first.max(axis=0) + self._side
         rows = (at.first - corner).astype(np.int32)
         stamp, epoch = float(stamps.max()), self._epoch
@@ -236,31 +240,30 @@ class Mapper:
         return self._grown.part(corner, (cells, cells))
 
 
-def _windower(robot: Robot, network: SetNetwork, resolution: float, side: int, span: int) -> Callable:
-    steps = jnp.arange(side) * resolution
-    view, moved_view = network.views(robot), network.moved_views(robot)
+@partial(jax.jit, static_argnames=("resolution", "side", "span"))
+def _window(weights, array, ranges, traits, corner, theta, at, weight, mounts, *, resolution, side, span):
+    """Sums over scans (m) on a window of the global map, see SUMS.
 
-    @jax.jit
-    def window(ranges, traits, corner, theta, at, weight, mounts):
-        """Sums over scans (m) on a window of the global map, see SUMS.
+    ``weights``, ``array``: of the network and of the robot, which arrays of one size share a compilation of;
+    ``corner``, ``theta``: as in ``Placed``; ``at``: cell [row, col] of the window at which each patch begins;
+    ``weight``: what each scan counts; ``mounts``: from where the sonars of each scan looked and which are asked for
+    each bearing, None: as on the robot.
+    """
+    x, y = in_robot(corner, theta, jnp.arange(side) * resolution)
+    if mounts is None:
+        found = view(weights, array, ranges, traits, x, y)
+    else:
+        found = moved_view(weights, array, ranges, traits, x, y, *mounts)
+    found = jax.lax.optimization_barrier(found)
 
-        ``corner``, ``theta``: as in ``Placed``; ``at``: cell [row, col] of the window at which each patch begins;
-        ``weight``: what each scan counts; ``mounts``: from where the sonars of each scan looked, None: the robot's.
-        """
-        x, y = in_robot(corner, theta, steps)
-        found = view(ranges, traits, x, y) if mounts is None else moved_view(ranges, traits, x, y, mounts)
-        found = jax.lax.optimization_barrier(found)
+    def add(sums, scan):
+        found, at, weight = scan
+        occupied = jnp.maximum(found, 0.0)
+        free = occupied - found
+        spoke = ((found != 0.0) & (weight > 0.0)).astype(jnp.int32)
+        added = [weight * occupied, weight * free, weight * occupied**2, weight * free**2, spoke]
+        part = [jax.lax.dynamic_slice(total, at, (side, side)) for total in sums]
+        return tuple(map(lambda t, p, a: jax.lax.dynamic_update_slice(t, p + a, at), sums, part, added)), None
 
-        def add(sums, scan):
-            found, at, weight = scan
-            occupied = jnp.maximum(found, 0.0)
-            free = occupied - found
-            spoke = ((found != 0.0) & (weight > 0.0)).astype(jnp.int32)
-            added = [weight * occupied, weight * free, weight * occupied**2, weight * free**2, spoke]
-            part = [jax.lax.dynamic_slice(total, at, (side, side)) for total in sums]
-            return tuple(map(lambda t, p, a: jax.lax.dynamic_update_slice(t, p + a, at), sums, part, added)), None
-
-        blank = [jnp.zeros((span, span), jnp.float32) for _ in SUMS]
-        return jax.lax.scan(add, (*blank, jnp.zeros((span, span), jnp.int32)), (found, at, weight))[0]
-
-    return window
+    blank = [jnp.zeros((span, span), jnp.float32) for _ in SUMS]
+    return jax.lax.scan(add, (*blank, jnp.zeros((span, span), jnp.int32)), (found, at, weight))[0]

@@ -57,6 +57,26 @@ class Sonar(NamedTuple):
         return tuple((0, int(part[:18]), "") if part.isdigit() else (1, 0, part) for part in parts)
 
 
+class RangeSaid(NamedTuple):
+    """What a sensor_msgs/Range says."""
+
+    stamp: float
+    """s; 0 if it says none."""
+    frame: str
+    field_of_view: float
+    """rad"""
+    min_range_m: float
+    max_range_m: float
+    range_m: float
+
+    @staticmethod
+    def of(message: Any) -> "RangeSaid":
+        """What a message with the fields of a Range says."""
+        header = message.header
+        limits = message.min_range, message.max_range
+        return RangeSaid(seconds(header.stamp), header.frame_id, message.field_of_view, *limits, message.range)
+
+
 def seconds(stamp: Any) -> float:
     """Seconds of a ``builtin_interfaces/Time``."""
     return stamp.sec + stamp.nanosec * 1e-9

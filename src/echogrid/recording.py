@@ -4,7 +4,7 @@ import os
 import shutil
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
-from math import floor, isnan
+from math import floor, hypot
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
@@ -20,6 +20,7 @@ from rosbags.typesys.stores import ros2_jazzy as ros
 
 from echogrid.errors import UsageError
 from echogrid.files import replacing, unwritable
+from echogrid.geometry import compose, inverse
 from echogrid.grid import Grid
 from echogrid.log import Frame
 from echogrid.mapfile import occupancy
@@ -34,6 +35,9 @@ MAX_MAPS, MAX_MAP_CELLS = 60, 100_000_000
 MAP_PERIOD_S, MAP_PERIOD_SHARE = 5.0, 0.15
 """From one map to the next passes at least the first, and at least this share of the drive so far: so few maps cover
 a drive of any length, and its lively beginning densely."""
+
+FIRING_S = 0.005
+"""From one sonar to the next before the first frame, where sonars fired one after another."""
 
 MAX_STAMP_S = 2**31 - 1
 """ROS counts the seconds of a stamp in 32 bits with a sign; MCAP holds none below 0."""
@@ -75,6 +79,32 @@ def _stored(ranges: Float[ndarray, "sonars"], robot: Robot) -> Float[ndarray, "s
     return np.where(ranges == np.inf, np.float32(np.inf), np.minimum(ranges.astype(np.float32), longest))
 
 
+def firings(
+    frame: Frame, mounts: Float[ndarray, "sonars 3"], before: float
+) -> list[tuple[float, Float[ndarray, "3"], list[int]]]:
+    """Where the robot was when its sonars fired: time (s), pose (m, m, rad), numbers of the sonars; in order of time.
+
+    The last is the pose and stamp of the frame. A frame that says where its sonars were does not say when; the
+    places before the last are spread evenly over the time since ``before``, the farthest first.
+
+    Args:
+        frame: readings that are nan are of sonars that did not fire.
+        mounts: the robot's own, m, m, rad.
+        before: stamp of the frame before, s.
+    """
+    fired = np.flatnonzero(~np.isnan(frame.ranges))
+    if frame.mounts is None:
+        return [(frame.stamp, frame.pose, fired.tolist())]
+    moves = compose(frame.mounts, inverse(mounts))
+    groups: dict[tuple[float, ...], list[int]] = {(0.0, 0.0, 0.0): []}
+    for i in fired.tolist():
+        groups.setdefault(tuple((np.round(moves[i], 5) + 0.0).tolist()), []).append(i)
+    order = sorted(groups, key=lambda move: -hypot(*move))
+    stamps = np.linspace(min(before, frame.stamp), frame.stamp, len(order) + 1)[1:].tolist()
+    poses = [compose(frame.pose, moves[groups[move][0]]) if any(move) else frame.pose for move in order]
+    return [(stamp, pose, groups[move]) for stamp, pose, move in zip(stamps, poses, order, strict=True)]
+
+
 class Pace:
     """Picks few of the many maps of a growing drive, see MAX_MAPS."""
 
@@ -101,13 +131,13 @@ class Recorder:
     comes, so that memory does not grow with the drive. Topics:
 
     - /tf: the robot's pose, map to base_link, for each frame;
-    - /tf_static: base_link to sonar_0, sonar_1, ... (in the plane). From a frame on that says where its sonars were
-      when they fired, they are on /tf instead, for each frame;
+    - /tf_static: base_link to sonar_0, sonar_1, ..., in the plane;
     - /sonar_0, /sonar_1, ...: sensor_msgs/Range under REP 117: +inf is no echo; what was not fired is not written;
     - /map: nav_msgs/OccupancyGrid as of ``occupancy``; see MAX_MAPS.
 
     The types are those of ROS 2 Jazzy, whose Range has a field more (at the end) than that of Humble. All messages
-    of a frame bear its stamp. Dead reckoning beside the pose is left out.
+    of a frame bear its stamp, unless it says that its sonars fired from other places: see ``firings``. Dead reckoning
+    beside the pose is left out.
     """
 
     def __init__(self, path: str | Path, robot: Robot):
@@ -121,7 +151,7 @@ class Recorder:
         self._types = get_typestore(Stores.ROS2_JAZZY)
         self._stamp, self._now = _Stamp(0, 0), 0.0
         self._pace = Pace()
-        self._begun = self._moving = False
+        self._begun = False
 
     def __enter__(self) -> "Recorder":
         with ExitStack() as stack, self._writing():
@@ -156,22 +186,21 @@ class Recorder:
         Raises:
             UsageError: the stamp is none that ROS can hold, or the file cannot be written.
         """
-        self._stamp, self._now = _ros_time(frame.stamp, self.path), frame.stamp
+        self._stamp = _ros_time(frame.stamp, self.path)
         with self._writing():
             if not self._begun:
                 self._begun = True
                 self._pace.due(frame.stamp, 0)
-                if frame.mounts is None:
-                    self._send(self._static, ros.tf2_msgs__msg__TFMessage(self._sonars(self.robot.mounts)))
-            self._moving |= frame.mounts is not None
-            mounts = self.robot.mounts if frame.mounts is None else frame.mounts
-            sonars = self._sonars(mounts) if self._moving else []
-            self._send(
-                self._tf, ros.tf2_msgs__msg__TFMessage([self._placed(MAP_FRAME, ROBOT_FRAME, frame.pose), *sonars])
-            )
-            for i, metres in enumerate(_stored(frame.ranges, self.robot).tolist()):
-                if not isnan(metres):
-                    self._send(self._ranges[i], self._range(i, metres))
+                mounts = [self._placed(ROBOT_FRAME, f"sonar_{i}", mount) for i, mount in enumerate(self.robot.mounts)]
+                self._send(self._static, ros.tf2_msgs__msg__TFMessage(mounts))
+                self._now = frame.stamp - FIRING_S * self.robot.sonars
+            stored = _stored(frame.ranges, self.robot).tolist()
+            for stamp, pose, sonars in firings(frame, self.robot.mounts, max(self._now, 0.0)):
+                self._stamp = _ros_time(stamp, self.path)
+                self._send(self._tf, ros.tf2_msgs__msg__TFMessage([self._placed(MAP_FRAME, ROBOT_FRAME, pose)]))
+                for i in sonars:
+                    self._send(self._ranges[i], self._range(i, stored[i]))
+        self._now = frame.stamp
 
     def keep(self, grid: Grid) -> None:
         """Write the map so far if it is time for one; to be called as often as there is a new one."""
@@ -213,9 +242,6 @@ class Recorder:
             range=metres,
             variance=0.0,
         )
-
-    def _sonars(self, mounts: Float[ndarray, "sonars 3"]) -> list[ros.geometry_msgs__msg__TransformStamped]:
-        return [self._placed(ROBOT_FRAME, f"sonar_{i}", mount) for i, mount in enumerate(mounts)]
 
     def _placed(self, parent: str, child: str, pose: Float[ndarray, "3"]) -> ros.geometry_msgs__msg__TransformStamped:
         x, y, theta = (float(v) for v in pose)

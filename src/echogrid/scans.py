@@ -216,6 +216,11 @@ class Scans:
             self.dropped[NO_POSE] += 1
 
     @property
+    def newest(self) -> float:
+        """Stamp of the latest reading, s."""
+        return self._newest
+
+    @property
     def pending(self) -> int:
         """Scans that are complete and wait for their poses."""
         return len(self._waiting)

@@ -6,9 +6,7 @@ profiles before and behind each echo, so that walls come out as sharp as the rea
 """
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +21,6 @@ from echogrid.files import replacing
 from echogrid.geometry import wrap
 from echogrid.interpret import LOOK_RAD, read_weights
 from echogrid.memory import FAR_M, NEIGHBOUR_RAD, SAME_M, TRAITS
-from echogrid.robot import Robot
 
 TOKENS = 6
 """Sonars that are asked for a bearing."""
@@ -100,6 +97,11 @@ def nearest(
     # Ties are broken by the index, whatever rounding makes of them.
     index = np.argsort(np.round(off, 6), axis=-1, kind="stable")[..., :TOKENS]
     return np.where(np.take_along_axis(off, index, axis=-1) < 9.0, index, -1)
+
+
+def asked(mounts: Float[ndarray, "*n sonars 3"]) -> Int[ndarray, "*n bearings tokens"]:
+    """The sonars that are asked for each bearing of the local map, see ``nearest``."""
+    return nearest(mounts, np.arange(BEARINGS) * (2 * np.pi / BEARINGS))
 
 
 def along(mounts, bearing):
@@ -303,7 +305,7 @@ class Mounted(NamedTuple):
 def array_of(mounts: Float[ndarray, "sonars 3"], max_range: float, footprint_radius: float) -> Mounted:
     """Prepare for an array: mounts in m and rad (nan: no such sonar)."""
     bearing = np.arange(BEARINGS) * (2 * np.pi / BEARINGS)
-    sonar = nearest(mounts, bearing).T
+    sonar = asked(mounts).T
     there = sonar >= 0
     placed = np.asarray(along(np.moveaxis(mounts[sonar], -1, 0), bearing))
     axis, ahead, aside = np.where(there, placed, 0.0).astype(np.float32)
@@ -315,11 +317,14 @@ def array_of(mounts: Float[ndarray, "sonars 3"], max_range: float, footprint_rad
     return Mounted(sonar, axis, ahead, aside, distance, looks, ring < footprint_radius, max_range)
 
 
-def moved(array: Mounted, mounts: Float[Array, "sonars 3"]) -> Mounted:
-    """The array with its sonars at other mounts (m, m, rad), those asked for each bearing staying the same."""
+def moved(
+    array: Mounted, mounts: Float[Array | ndarray, "sonars 3"], sonar: Int[Array | ndarray, "bearings tokens"]
+) -> Mounted:
+    """The array with its sonars at other mounts (m, m, rad), and those asked for each bearing as of ``asked``."""
     bearing = jnp.arange(BEARINGS) * (2 * np.pi / BEARINGS)
+    array = array._replace(sonar=sonar.T)
     there = array.sonar >= 0
-    axis, ahead, aside = along(jnp.moveaxis(mounts[array.sonar], -1, 0), bearing)
+    axis, ahead, aside = along(jnp.moveaxis(jnp.asarray(mounts)[array.sonar], -1, 0), bearing)
     axis, ahead, aside = (jnp.where(there, value, 0.0) for value in (axis, ahead, aside))
     ring = (np.arange(RINGS) + 0.5) * RING_M
     forward, left = ring - ahead[..., None], -aside[..., None]
@@ -400,6 +405,24 @@ def view(
     return jnp.where(distance <= REACH_M, (1 - u) * low + u * high, 0.0)
 
 
+def moved_view(
+    w: Weights,
+    array: Mounted,
+    ranges: Float[Array, "scans sonars"],
+    traits: Float[Array, "scans traits"],
+    x: Float[Array, "scans *n"],
+    y: Float[Array, "scans *n"],
+    mounts: Float[Array, "scans sonars 3"],
+    sonar: Int[Array, "scans bearings tokens"],
+) -> Float[Array, "scans *n"]:
+    """``view`` of scans whose sonars looked from mounts of their own; see ``moved``."""
+
+    def one(ranges, traits, x, y, mounts, sonar):
+        return view(w, moved(array, mounts, sonar), ranges[None], traits[None], x[None], y[None])[0]
+
+    return jax.vmap(one)(ranges, traits, x, y, mounts, sonar)
+
+
 @dataclass(frozen=True)
 class SetNetwork:
     """The set network with its weights."""
@@ -408,21 +431,6 @@ class SetNetwork:
     recipe: dict[str, Any]
     """How the weights were made."""
     name: str = "set-network"
-
-    def views(self, robot: Robot) -> Callable[..., Float[Array, "scans *n"]]:
-        """``view`` for a robot."""
-        array = array_of(robot.mounts, robot.max_range_m, robot.footprint_radius_m)
-        return partial(view, jax.tree.map(jnp.asarray, self.weights), array)
-
-    def moved_views(self, robot: Robot) -> Callable[..., Float[Array, "scans *n"]]:
-        """``view`` for a robot whose sonars looked from other mounts in each scan, one argument more."""
-        weights = jax.tree.map(jnp.asarray, self.weights)
-        array = jax.tree.map(jnp.asarray, array_of(robot.mounts, robot.max_range_m, robot.footprint_radius_m))
-
-        def one(ranges, traits, x, y, mounts):
-            return view(weights, moved(array, mounts), ranges[None], traits[None], x[None], y[None])[0]
-
-        return jax.vmap(one)
 
     def fuse(
         self,

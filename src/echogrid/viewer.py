@@ -357,7 +357,7 @@ def _handler(behind: int, data: int) -> type[http.server.BaseHTTPRequestHandler]
 
 
 def _analytics_are_off(home: Path) -> bool:
-    with suppress(OSError, ValueError, KeyError):
+    with suppress(OSError, ValueError, KeyError, TypeError):
         files = list(home.rglob("analytics.json"))
         return bool(files) and all(json.loads(file.read_bytes())["analytics_enabled"] is False for file in files)
     return False
@@ -387,9 +387,10 @@ def _await(process: subprocess.Popen, ports: tuple[int, ...], said: Path) -> Non
 
 def _end(process: subprocess.Popen) -> None:
     """End it with all that it has started."""
-    for sign in (signal.SIGTERM, signal.SIGKILL):
+    # At SIGINT the command ends what it has started before itself; the others would not wait for that.
+    for sign in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
         with suppress(ProcessLookupError):
             os.killpg(process.pid, sign)
         with suppress(subprocess.TimeoutExpired):
-            process.wait(5)
+            process.wait(3)
             return

@@ -10,16 +10,18 @@ from typing import NoReturn
 import tyro
 
 from echogrid import __version__
+from echogrid.cli.live import Live
 from echogrid.cli.maps import Info, Map, Score
 from echogrid.cli.simulation import Scan, Simulate, Train
 from echogrid.errors import EchogridError
 
 EXIT_ERROR = 2
 
-Command = Map | Simulate | Scan | Train | Score | Info
+Command = Map | Live | Simulate | Scan | Train | Score | Info
 
 COMMANDS: dict[str, Callable[..., Command]] = {
     "map": Map,
+    "live": Live,
     "simulate": Simulate,
     "scan": Scan,
     "train": Train,

@@ -4,9 +4,11 @@ A bag is gone through twice: its beginning, to find which sonars there are, wher
 the whole of it. Stamps are those of the messages' headers, or the time of recording where a header has none.
 """
 
+import re
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from functools import partial
 from math import degrees, inf, isnan, nan
 from pathlib import Path
@@ -53,8 +55,11 @@ from echogrid.transforms import Transforms
 SURVEY_S, SURVEY_MESSAGES = 5.0, 300_000
 """A bag is surveyed until so long after all topics of sonars were heard, and for so many messages at most."""
 
-SHOWN = 12
+SHOWN = 6
 """Names that a message lists at most."""
+
+_LONGEST = 100
+"""Characters of a name that a message shows at most."""
 
 _TURNED_M, _TURNED_RAD = 0.01, np.deg2rad(1.0)
 """A mount that changes more than this is one that moves."""
@@ -132,7 +137,19 @@ def load(path: Path, robot: Robot | None, choice: Choice | None = None) -> Log:
     beginning.go(whole=False)
     plan = beginning.plan()
     notes: dict[str, int] = {}
-    return Log(beginning.name, plan.robot.sonars, plan.robot, partial(_frames, path, plan, notes), notes)
+    frames = partial(_frames, path, plan, notes)
+    return Log(beginning.name, plan.robot.sonars, plan.robot, lambda: _telling(beginning.name, frames()), notes)
+
+
+def _telling(name: str, frames: Iterator[Frame]) -> Iterator[Frame]:
+    """Frames, at the end of which it is an error if no reading in them was valid."""
+    told = False
+    for frame in frames:
+        told = told or not np.isnan(frame.ranges).all()
+        yield frame
+    if not told:
+        found = "no valid reading of any sonar: all are 0 m, nan or below min_range"
+        raise InputError(name, found, "ranges in m, or +inf where there is no echo")
 
 
 def survey(path: Path, robot: Robot | None, choice: Choice) -> "Survey":
@@ -167,7 +184,7 @@ class Survey:
         """See ``load``."""
         self.robot, self.choice, self.transforms = robot, choice, Transforms()
         self.heard: dict[Sonar, Heard] = {}
-        self._path = path
+        self._path, self._refused = path, Counter[str]()
         with BagFile(path) as bag:
             self.name, self.topics = bag.name, bag.topics()
         self.sonars = self._chosen()
@@ -178,20 +195,23 @@ class Survey:
     def _chosen(self) -> list[Topic]:
         """The topics of sonars to be read: of the best type that is there."""
         there = [topic for topic in self.topics if topic.type in SONARS and topic.messages]
+        odometry = [topic for topic in self.topics if topic.type == ODOMETRY]
+        for pattern in self.choice.topics:
+            if not any(fnmatchcase(topic.name, pattern) for topic in (*there, *odometry)):
+                wanted = f"one of {_listed((*there, *odometry))}" if there else f"one of {', '.join(SONARS)}"
+                raise InputError(self.name, f"no topic of sonars or odometry that fits {_short(pattern)}", wanted)
         taken = [topic for topic in there if self.choice.takes(topic.name)]
-        if not self.choice.topics:
+        named = bool(taken) and bool(self.choice.topics)
+        if not named:  # or odometry alone is
+            taken = there
             # Point clouds are seldom sonars.
             taken = [topic for topic in taken if topic.type != CLOUD2 or "sonar" in topic.name.lower()]
         if not taken:
-            names = there or self.topics
-            wanted = f"one of {_listed(names)}" if there else f"one of {', '.join(SONARS)}"
-            found = "no topic of sonars"
-            if self.choice.topics:
-                found += f" that fits {' '.join(self.choice.topics)}"
-            elif there:
-                found, wanted = "only point clouds that may not be sonars", f"--topics with {wanted}"
-            else:
-                found += f" among {_listed(names)}"
+            found, wanted = f"no topic of sonars among {_listed(self.topics)}", f"one of {', '.join(SONARS)}"
+            if there:
+                found, wanted = "only point clouds that may not be sonars", f"--topics with one of {_listed(there)}"
+            elif not any(topic.messages for topic in self.topics):
+                found = "a bag without messages"
             raise InputError(self.name, found, wanted)
         best = min((topic.type for topic in taken), key=SONARS.index)
         taken = [topic for topic in taken if topic.type == best]
@@ -210,7 +230,7 @@ class Survey:
                 if message.type == ODOMETRY:
                     child = message.content.child_frame_id.lstrip("/") or "base_link"
                     self._links.setdefault(child, set()).add(message.topic)
-                for event in _events(message, self.transforms, self.robot, Counter()):
+                for event in _events(message, self.transforms, self.robot, self._refused):
                     if event.sonar not in self.heard and len(self.heard) >= MAX_SONARS:
                         raise InputError(self.name, f"more than {MAX_SONARS} sonars", f"{MAX_SONARS} at most")
                     self.heard.setdefault(event.sonar, Heard()).count(event)
@@ -227,8 +247,11 @@ class Survey:
             InputError: see ``load``.
         """
         if not self.heard:
-            raise InputError(self.name, f"nothing to read in {_listed(self.sonars)}", "readings of sonars")
+            because = "".join(f": {reason} ({n} times)" for reason, n in self._refused.most_common(1))
+            raise InputError(self.name, f"nothing to read in {_listed(self.sonars)}{because}", "readings of sonars")
         sonars = sorted(self.heard, key=lambda sonar: sonar.order)
+        if self.robot is None and self.sonars[0].type != RANGE:
+            raise self._no_places(len(sonars))
         base = self._base(sonars)
         fixed = self.choice.fixed.lstrip("/") if self.choice.fixed else fixed_of(self.transforms, base)
         if fixed is None or self.transforms.known(fixed, base) is None:
@@ -243,10 +266,10 @@ class Survey:
             if len(sonars) != robot.sonars:
                 found = f"{len(sonars)} sonars ({_names(sonars)})"
                 raise InputError(self.name, found, f"{robot.sonars}, as robot {robot.name} has")
-        for sonar in sonars:
-            heard = self.heard[sonar]
-            if heard.zeros == heard.readings:
-                notes[f"{_name(sonar)} says 0 all the time, which is no reading"] = heard.zeros
+        zeros = [sonar for sonar in sonars if self.heard[sonar].zeros == self.heard[sonar].readings]
+        if zeros:
+            count = sum(self.heard[sonar].zeros for sonar in zeros)
+            notes[f"nothing but 0 m, which is no range, from {_names(zeros)} in the beginning"] = count
         topics = {topic.name for topic in self.sonars}
         topics |= {topic.name for topic in self.topics if topic.type in (TF, TF_OLD)}
         topics |= {topic.name for topic in self.odometry}
@@ -266,25 +289,38 @@ class Survey:
         bases = [base for base in carried if base in moving] or (sorted(moving) if self.robot else list(carried))
         if len(bases) > 1:
             found = "; ".join(f"{base} ({_names(carried.get(base, []))})" for base in sorted(bases))
-            raise InputError(self.name, f"{len(bases)} robots: {found}", "one: --topics or --base-frame")
+            raise InputError(self.name, f"{len(bases)} robots: {found}", "one, by --topics or --base-frame")
         if bases:
             return bases[0]
         if moving and not self.robot:
-            frames = ", ".join(sorted({sonar.frame or "(none)" for sonar in sonars})[:SHOWN])
+            frames = _few(list(dict.fromkeys(sonar.frame or "without a name" for sonar in sonars)))
             raise InputError(
                 self.name,
-                f"no transform from the robot ({', '.join(sorted(moving))}) to the frames of the sonars ({frames})",
+                f"no transform from the robot ({_few(sorted(moving))}) to the frames of the sonars ({frames})",
                 "tf, or --robot with the places of the sonars",
             )
         raise self._no_pose("the robot", None)
 
-    def _no_pose(self, base: str, fixed: str | None) -> InputError:
-        where = f" in {fixed}" if fixed else ""
-        frames = ", ".join(sorted(self.transforms.children())[:SHOWN])
-        known = f"; tf knows {frames}" if frames else ""
+    def _no_places(self, count: int) -> InputError:
+        fits = ", ".join(name for name in preset_names() if Robot.load(name).sonars == count)
+        known = f" (presets with {count}: {fits})" if fits else ""
         return InputError(
             self.name,
-            f"no pose of {base}{where} among {_listed(self.topics)}{known}",
+            f"{count} sonars in {self.sonars[0].name} ({self.sonars[0].type}), which does not say where they sit",
+            f"--robot with their places{known}",
+        )
+
+    def _no_pose(self, base: str, fixed: str | None) -> InputError:
+        roots = {self.transforms.line(child)[-1] for child in self.transforms.children()}
+        frames = sorted({*self.transforms.children(), *roots})
+        for option, name in (("--base-frame", self.choice.base), ("--fixed-frame", self.choice.fixed)):
+            if name and name.lstrip("/") not in frames:
+                return InputError(self.name, f"no frame {_short(name)}", f"{option} with one of {_few(frames)}")
+        posing = [topic for topic in self.topics if topic.type in (TF, TF_OLD, ODOMETRY)]
+        there = f" in {_listed(posing)} (frames: {_few(frames)})" if posing else ": neither tf nor odometry"
+        return InputError(
+            self.name,
+            f"no pose of {base}{f' in {fixed}' if fixed else ''}{there}",
             "tf from map or odom to the robot, or nav_msgs/Odometry",
         )
 
@@ -302,15 +338,6 @@ class Survey:
 
     def _place(self, sonars: list[Sonar], base: str, notes: dict[str, int]) -> list[Sonar]:
         """Find the mounts; those that have one."""
-        if self.sonars[0].type != RANGE:
-            count = len(sonars)
-            fits = ", ".join(name for name in preset_names() if Robot.load(name).sonars == count)
-            known = f" (presets with {count}: {fits})" if fits else ""
-            raise InputError(
-                self.name,
-                f"{count} sonars in {self.sonars[0].name} ({self.sonars[0].type}), which says not where they sit",
-                f"--robot with their places{known}",
-            )
         frames: dict[str, Sonar] = {}
         for sonar in sonars:
             heard = self.heard[sonar]
@@ -326,25 +353,27 @@ class Survey:
         if not placed:
             raise InputError(
                 self.name,
-                f"{_name(sonars[0])} {self.heard[sonars[0]].amiss}",
+                f"no sonar with a place: {_names(sonars)}: {self.heard[sonars[0]].amiss}",
                 "tf, or --robot with the places of the sonars",
             )
+        amiss: dict[str, list[Sonar]] = {}
         for sonar in sonars:
-            if self.heard[sonar].amiss:
-                notes[f"{_name(sonar)} {self.heard[sonar].amiss}: left out"] = 0
+            if reason := self.heard[sonar].amiss:
+                amiss.setdefault(reason, []).append(sonar)
+        notes |= {f"{_names(left)} left out: {reason}": 0 for reason, left in amiss.items()}
         return placed
 
     def _mount(self, base: str, sonar: Sonar, heard: Heard) -> tuple[Float[ndarray, "3"] | None, str | None]:
         if not sonar.frame:
-            return None, "names no frame"
+            return None, "no name of a frame"
         first, last = (mount(self.transforms, base, sonar.frame, stamp) for stamp in (heard.first, heard.last))
         if first is None or last is None:
-            return None, f"has no transform to {base}"
+            return None, f"no transform to {base}"
         if isinstance(first, str) or isinstance(last, str):
-            return None, f"has {first if isinstance(first, str) else last}"
+            return None, str(first if isinstance(first, str) else last)
         apart = np.abs(first - last)
         if max(apart[:2]) > _TURNED_M or _TURNED_RAD < apart[2] < 2 * np.pi - _TURNED_RAD:
-            return None, "moves on the robot"
+            return None, "one that moves on the robot"
         return last, None
 
     def _described(self, base: str, sonars: list[Sonar], notes: dict[str, int]) -> Robot:
@@ -364,9 +393,8 @@ def _events(message: Message, transforms: Transforms, robot: Robot | None, refus
     """The readings in a message; its transforms and poses are put where they belong."""
     content, kind = message.content, message.type
     if kind == RANGE:
-        stamp = seconds(content.header.stamp) or message.received
-        sonar = Sonar(message.topic, content.header.frame_id)
-        yield Event(sonar, stamp, content.range, content.field_of_view, (content.min_range, content.max_range))
+        stamp, frame, field_of_view, low, high, range_m = content
+        yield Event(Sonar(message.topic, frame), stamp or message.received, range_m, field_of_view, (low, high))
     elif kind in (TF, TF_OLD):
         refused.update(put_transforms(transforms, content, message.topic.rsplit("/", 1)[-1] == "tf_static"))
     elif kind == ODOMETRY:
@@ -377,7 +405,9 @@ def _events(message: Message, transforms: Transforms, robot: Robot | None, refus
         stamp = seconds(content.header.stamp) or message.received
         ranges = ranges_of(content) if kind == SONAR_ARRAY else _of_points(message, transforms, robot)
         if ranges is None or (robot is not None and len(ranges) != robot.sonars):
-            refused["a message with another number of sonars"] += 1
+            count = "no" if ranges is None else len(ranges)
+            wanted = f", where robot {robot.name} has {robot.sonars}" if robot else ""
+            refused[f"a message of {count} sonars{wanted}"] += 1
             return
         limits = (nan, nan) if robot is None else (robot.min_range_m, robot.max_range_m)
         for number, range_m in enumerate(ranges.tolist()):
@@ -395,7 +425,8 @@ def _of_points(message: Message, transforms: Transforms, robot: Robot | None) ->
     if pose is not None:
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         points = points @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
-    return np.hypot(*(points - robot.mounts[:, :2]).T)
+    # The points are of single precision: what was 5 m must not fall below it, and be an echo.
+    return np.round(np.hypot(*(points - robot.mounts[:, :2]).T), 5)
 
 
 def _name(sonar: Sonar) -> str:
@@ -407,12 +438,25 @@ def _names(sonars: Collection[Sonar]) -> str:
 
 
 def _listed(topics: Collection[Topic]) -> str:
-    return _few([f"{topic.name} ({topic.type})" for topic in topics])
+    return _few([f"{topic.name} ({topic.type if topic.messages else 'without messages'})" for topic in topics])
 
 
 def _few(names: Collection[str]) -> str:
-    shown = ", ".join([*names][:SHOWN]) or "nothing"
-    return f"{shown} and {len(names) - SHOWN} more" if len(names) > SHOWN else shown
+    """Names for a message, in short: those that differ by numbers alone are one, as a pattern of --topics."""
+    alike: dict[str, list[str]] = {}
+    for name in names:
+        alike.setdefault(re.sub(r"\d+", "*", name), []).append(name)
+    parts: list[str] = []
+    for each in alike.values():
+        pieces = zip(*(re.split(r"(\d+)", name) for name in each), strict=True)
+        pattern = "".join(piece[0] if len(set(piece)) == 1 else "*" for piece in pieces)
+        parts += [f"{_short(pattern)} ({len(each)} of them)"] if len(each) > 2 else map(_short, each)
+    shown = ", ".join(parts[:SHOWN]) or "nothing"
+    return f"{shown} and {len(parts) - SHOWN} more" if len(parts) > SHOWN else shown
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= _LONGEST else name[:_LONGEST] + "..."
 
 
 def _frames(path: Path, plan: Plan, notes: dict[str, int]) -> Iterator[Frame]:
@@ -421,21 +465,24 @@ def _frames(path: Path, plan: Plan, notes: dict[str, int]) -> Iterator[Frame]:
     refused: Counter[str] = Counter()
     numbers, robot = plan.numbers, plan.robot
     count = 0
-    stamps = [inf, -inf]
+
+    def take(sonar: tuple[str, str], stamp: float, range_m: float, low: float, high: float) -> None:
+        number = numbers.get(sonar)
+        if number is None:
+            refused["a reading of a sonar without a place, or that was not heard in the beginning"] += 1
+        elif scans.add(number, stamp, robot.clean_one(reading(range_m, low, high))) == BACK:
+            found = f"a clock that jumps back by more than {BACK_S:g} s at {stamp:.3f} s"
+            raise InputError(f"{bag.name}: {sonar[0]}", found, "time that goes on")
+
     with BagFile(path) as bag:
-        for message in bag.messages(plan.topics):
-            for sonar, stamp, range_m, _, limits in _events(message, transforms, robot, refused):
-                number = numbers.get(sonar)
-                if number is None:
-                    refused["a reading of a sonar without a place, or that was not heard in the beginning"] += 1
-                    continue
-                if scans.add(number, stamp, robot.clean_one(reading(range_m, *limits))) == BACK:
-                    raise InputError(
-                        f"{bag.name}: {sonar.topic}",
-                        f"a clock that jumps back by more than {BACK_S:g} s at {stamp:.3f} s",
-                        "time that goes on",
-                    )
-                stamps[0], stamps[1] = min(stamps[0], stamp), max(stamps[1], stamp)
+        for topic, kind, received, content in bag.messages(plan.topics):
+            if kind == RANGE:  # nearly all of them
+                stamp, frame, _, low, high, range_m = content
+                take((topic, frame), stamp or received, range_m, low, high)
+            else:
+                message = Message(topic, kind, received, content)
+                for sonar, stamp, range_m, _, limits in _events(message, transforms, robot, refused):
+                    take(sonar, stamp, range_m, *limits)
             if scans.pending:
                 for frame in scans.frames():
                     count += 1
@@ -450,7 +497,7 @@ def _frames(path: Path, plan: Plan, notes: dict[str, int]) -> Iterator[Frame]:
         poses = "none" if known is None else f"{known[0]:.1f} to {known[1]:.1f} s"
         raise InputError(
             bag.name,
-            f"no reading at a time of a pose (readings {stamps[0]:.1f} to {stamps[1]:.1f} s, poses {poses})",
+            f"no reading at a time of a pose (last reading {scans.newest:.1f} s, poses {poses})",
             "stamps of one clock",
         )
 

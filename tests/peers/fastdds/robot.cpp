@@ -8,7 +8,7 @@
 //   odom STAMP FRAME CHILD X Y Z QX QY QZ QW         on /odom
 //   range TOPIC STAMP FRAME FOV MIN MAX RANGE        best effort and volatile, or reliable
 //   text TOPIC TEXT                                  a message of another type
-//   matched TOPIC                                    waits until somebody has subscribed to the topic
+//   matched                                          waits until all topics so far have a subscriber
 //   at SECONDS                                       waits until so long after the first "at"
 //
 // Stamps are written SEC.NANOSECONDS. Each map is a line: "map" or "local", stamp, frame, resolution, columns, rows,
@@ -129,9 +129,7 @@ public:
             } else if (what == "text") {
                 text(words);
             } else if (what == "matched") {
-                std::string topic;
-                words >> topic;
-                matched(writers_.at("rt/" + topic));
+                matched();
             } else if (what == "at") {
                 double seconds = 0;
                 words >> seconds;
@@ -186,13 +184,15 @@ private:
         }
     }
 
-    static void matched(DataWriter* writer) {
-        PublicationMatchedStatus status;
-        do {
-            std::this_thread::sleep_for(std::chrono::milliseconds(10));
-            writer->get_publication_matched_status(status);
-        } while (status.current_count < 1);
-        // The reader learns of the match a little later than the writer.
+    void matched() {
+        for (const auto& each : writers_) {
+            PublicationMatchedStatus status;
+            do {
+                std::this_thread::sleep_for(std::chrono::milliseconds(10));
+                each.second->get_publication_matched_status(status);
+            } while (status.current_count < 1);
+        }
+        // The readers learn of the match a little later than the writers.
         std::this_thread::sleep_for(std::chrono::milliseconds(300));
     }
 

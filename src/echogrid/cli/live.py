@@ -1,0 +1,217 @@
+"""The command about a robot that drives now: live."""
+
+import os
+import signal
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Thread
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import OmitArgPrefixes, arg
+
+from echogrid.cli.arguments import Ros
+from echogrid.errors import EchogridError, UsageError
+from echogrid.files import made
+
+if TYPE_CHECKING:
+    from echogrid.dds import Network
+    from echogrid.live import Live as Mapping
+    from echogrid.live import Snapshot
+
+STATUS_S = 10.0
+"""How often it is said how it goes."""
+
+DISCOVER_S = 0.5
+"""How often it is looked for new topics."""
+
+WAIT_S = 0.05
+"""How long a signal to stop waits at most."""
+
+
+@dataclass(frozen=True)
+class Live:
+    """Map what a ROS 2 robot hears now, without ROS: sensor_msgs/Range and tf or odometry in, /map out.
+
+    Publishes /map (nav_msgs/OccupancyGrid, kept for those who come later) once a second if it changed, and
+    /local_map, the part round the robot, after each scan. Saves the map like echogrid map, each minute and when it is
+    stopped (Ctrl-C, SIGTERM), which is its ordinary end: exit status 0, or 2 if nothing was mapped.
+
+    It listens on loopback only, unless you name an interface: nobody on a DDS network has to prove who they are.
+    """
+
+    ros: Annotated[Ros, OmitArgPrefixes] = field(default_factory=Ros)
+    out: Path = Path("out")
+    """Folder for the map."""
+    interface: Annotated[str | None, arg(metavar="NAME|any")] = None
+    """Network interface: lo, eth0, ... or any. Default: what CYCLONEDDS_URI says if it is set, else lo. Nodes that
+    talk on an interface other than lo are heard only if it is named."""
+    domain: Annotated[int | None, arg(metavar="ID")] = None
+    """DDS domain. Default: ROS_DOMAIN_ID, else 0."""
+    map_topic: str = "/map"
+    """Where to publish the map."""
+    local_map_topic: str = "/local_map"
+    """Where to publish the local map."""
+    local_side: Annotated[float, arg(metavar="M")] = 6.0
+    """Side of the local map, m."""
+    resolution: Annotated[float | None, arg(metavar="M")] = None
+    """Side of a cell of the map, m. Default: 0.04."""
+    interpreter: str = "set-network"
+    """set-network, or a file of its weights."""
+    half_life: Annotated[float | None, arg(metavar="S")] = None
+    """For places that change: time in which what was seen comes to count half, s. Default: it never fades."""
+    save_every: Annotated[float, arg(metavar="S")] = 60.0
+    """Time from one saving to the next, s."""
+
+    def run(self) -> None:
+        """Map until stopped."""
+        domain = self._check()
+        try:
+            from echogrid.dds import Network
+        except ImportError:
+            raise UsageError("live: found no cyclonedds, expected `pip install 'echogrid[ros2]'`") from None
+        from echogrid.live import Live as Mapping
+        from echogrid.live import Settings
+        from echogrid.models import sensor_model
+        from echogrid.set_network import SetNetwork
+
+        model = sensor_model(self.interpreter)
+        if not isinstance(model, SetNetwork):
+            raise UsageError(
+                f"--interpreter: found {self.interpreter}, expected set-network or a file of its weights"
+            )
+        choice = self.ros.choice()
+        mapping = Mapping(model, Settings(choice, self.resolution, self.half_life, self.local_side))
+        with made(self.out), stopped() as stop:
+            interface = self._interface()
+            network = Network(domain, interface, choice, self.map_topic, self.local_map_topic)
+            _say(f"domain {domain}, {self._where(interface, network)}; {self.map_topic}, {self.local_map_topic}")
+            saver = _Saver(self.out, self.save_every)
+            _map(mapping, network, saver, stop)
+            saver.last(mapping)
+        print(f"{mapping.scans} scans, {mapping.readings} readings; map in {self.out}/map.png")
+
+    def _check(self) -> int:
+        if self.resolution is not None and not 0.005 <= self.resolution <= 10:
+            raise UsageError(f"--resolution: found {self.resolution:g}, expected 0.005 to 10 m")
+        if self.half_life is not None and not 0.1 <= self.half_life <= 1e9:
+            raise UsageError(f"--half-life: found {self.half_life:g}, expected 0.1 s or more")
+        if not 1.0 <= self.local_side <= 40.0:
+            raise UsageError(f"--local-side: found {self.local_side:g}, expected 1 to 40 m")
+        if not 1.0 <= self.save_every <= 86400.0:
+            raise UsageError(f"--save-every: found {self.save_every:g}, expected 1 to 86400 s")
+        where, domain = "--domain", str(self.domain)
+        if self.domain is None:
+            where, domain = "ROS_DOMAIN_ID", os.environ.get("ROS_DOMAIN_ID") or "0"
+        if not domain.isdecimal() or int(domain) > 232:
+            raise UsageError(f"{where}: found {domain}, expected 0 to 232")
+        return int(domain)
+
+    def _interface(self) -> str | None:
+        return self.interface or (None if os.environ.get("CYCLONEDDS_URI") else "lo")
+
+    def _where(self, interface: str | None, network: "Network") -> str:
+        if interface is None:
+            return "network as CYCLONEDDS_URI says"
+        over = " (CYCLONEDDS_URI is passed over)" if os.environ.get("CYCLONEDDS_URI") else ""
+        if interface == "any":
+            return f"all interfaces{over}: whoever reaches this machine can send to it"
+        open_ports = "" if network.kept else ", but its UDP ports are open on all: shut the others with a firewall"
+        return f"interface {interface}{open_ports}{over}"
+
+
+def _map(mapping: "Mapping", network: "Network", saver: "_Saver", stop: list[int]) -> None:
+    status_due, discover_due, told = time.monotonic() + STATUS_S, 0.0, ""
+    while not stop:
+        network.wait(0.0 if mapping.busy else WAIT_S)
+        now = time.monotonic()
+        if now >= discover_due:
+            discover_due = now + DISCOVER_S
+            network.discover()
+        for heard, topic, message in network.take():
+            mapping.take(heard, topic, message, now)
+        for picture in mapping.step(now):
+            network.send(picture)
+        for notice in mapping.notices():
+            _say(notice)
+        saver.step(mapping, now)
+        if now >= status_due:
+            status_due = now + STATUS_S
+            status = mapping.status() + "".join(f"; {n} x {reason}" for reason, n in network.refused.most_common(3))
+            if status != told:
+                _say(status)
+            told = status
+    for heard, topic, message in network.take():
+        mapping.take(heard, topic, message, time.monotonic())
+    mapping.finish()
+
+
+class _Saver:
+    """Saves the map now and then, beside the mapping."""
+
+    def __init__(self, folder: Path, every: float):
+        self._folder, self._every = folder, every
+        self._due: float | None = None
+        self._scans = 0
+        self._thread: Thread | None = None
+
+    def step(self, mapping: "Mapping", now: float) -> None:
+        """Save if it is time."""
+        if self._due is None:
+            self._due = now + self._every if mapping.scans else None
+        elif now >= self._due and (self._thread is None or not self._thread.is_alive()):
+            self._due = now + self._every
+            snapshot = mapping.snapshot()
+            if snapshot is not None and mapping.scans > self._scans:
+                self._scans = mapping.scans
+                self._thread = Thread(target=self._save, args=(snapshot,))
+                self._thread.start()
+
+    def _save(self, snapshot: "Snapshot") -> None:
+        try:
+            _write(self._folder, snapshot)
+        except EchogridError as error:
+            _say(f"not saved: {error}")
+
+    def last(self, mapping: "Mapping") -> None:
+        """Save the finished map."""
+        if self._thread is not None:
+            self._thread.join()
+        snapshot = mapping.snapshot()
+        if snapshot is None:
+            refused = Counter(mapping.refused).most_common(1)
+            because = f" ({refused[0][1]} x {refused[0][0]})" if refused else ""
+            raise UsageError(f"live: found no scan to map{because}, expected sensor_msgs/Range with tf or odometry")
+        _write(self._folder, snapshot)
+
+
+def _write(folder: Path, snapshot: "Snapshot") -> None:
+    from echogrid.mapfile import write_map
+
+    write_map(folder, snapshot.grid, snapshot.path, snapshot.settings, snapshot.title)
+
+
+@contextmanager
+def stopped() -> Iterator[list[int]]:
+    """A list that is empty until a signal to stop comes; a second one stops at once."""
+    signals: list[int] = []
+
+    def stop(number: int, _: object) -> None:
+        if signals:
+            raise KeyboardInterrupt
+        signals.append(number)
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield signals
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _say(text: str) -> None:
+    print(f"live: {text}", file=sys.stderr, flush=True)

@@ -1,0 +1,133 @@
+"""The robot on Fast DDS from Python: builds it, gives it a drive to play, reads the maps that it heard.
+
+All of it runs in a network namespace of its own in which there is nothing but loopback.
+"""
+
+import shutil
+import subprocess
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).parent
+PROGRAM = HERE.parents[2] / "build" / "peers" / "fastdds" / "robot"
+SOURCES = [HERE / name for name in ("ros.idl", "robot.cpp", "build.sh")]
+START_S = 1000.0
+"""Stamp of the first frame of a drive; 0 would be no stamp."""
+
+
+def missing() -> str | None:
+    """What is not installed, if something is not."""
+    tools = [tool for tool in ("unshare", "nsenter", "ip", "g++", "fastddsgen") if shutil.which(tool) is None]
+    if tools:
+        return f"found no {', '.join(tools)}"
+    if not Path("/usr/include/fastdds/dds").is_dir():
+        return "found no libfastrtps-dev"
+    if subprocess.run(["unshare", "-rn", "true"], capture_output=True).returncode:
+        return "found no right to make a network namespace"
+    return None
+
+
+def build() -> Path:
+    """The robot, built if it is older than its sources."""
+    newest = max(path.stat().st_mtime for path in SOURCES)
+    if not PROGRAM.exists() or PROGRAM.stat().st_mtime < newest:
+        subprocess.run([HERE / "build.sh"], check=True, timeout=300)
+    return PROGRAM
+
+
+class Namespace:
+    """A network with nothing but loopback."""
+
+    def __init__(self, pid: int):
+        self._prefix = ["nsenter", f"--target={pid}", "--user", "--net", "--preserve-credentials"]
+
+    def command(self, *words: object) -> list[str]:
+        """A command that runs in it."""
+        return [*self._prefix, *map(str, words)]
+
+    def output(self, *words: object) -> str:
+        """What a command says in it."""
+        return subprocess.run(self.command(*words), capture_output=True, text=True, check=True, timeout=60).stdout
+
+
+@contextmanager
+def namespace() -> Iterator[Namespace]:
+    """Make a network namespace, and undo it with all that runs in it."""
+    script = "ip link set lo up multicast on && echo ready && exec sleep 7200"
+    holder = subprocess.Popen(["unshare", "-rn", "sh", "-c", script], stdout=subprocess.PIPE, text=True)
+    try:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "ready\n"
+        yield Namespace(holder.pid)
+    finally:
+        holder.kill()
+        holder.communicate()
+
+
+@dataclass(frozen=True)
+class Heard:
+    """A map that the robot heard."""
+
+    kind: str
+    """map or local."""
+    stamp: float
+    frame: str
+    resolution: float
+    cells: np.ndarray
+    """int8 [row, col]."""
+    origin: tuple[float, float]
+    delay_s: float
+    """Time since the last range of its stamp was published; negative if there was none."""
+
+
+_VALUES = {"#": 100, ".": 0, "?": -1, "!": 50}
+
+
+def heard(text: str) -> list[Heard]:
+    """The maps in what the robot wrote; a line that is not finished is left out."""
+    maps = []
+    for line in text.splitlines(keepends=True):
+        if not line.endswith("\n"):
+            continue
+        kind, stamp, frame, resolution, cols, rows, x, y, delay, letters = line.split()
+        table = np.zeros(128, dtype=np.int8)
+        for letter, value in _VALUES.items():
+            table[ord(letter)] = value
+        cells = table[np.frombuffer(letters.encode(), dtype=np.uint8)].reshape(int(rows), int(cols))
+        place = float(x), float(y)
+        maps.append(Heard(kind, float(stamp), frame, float(resolution), cells, place, int(delay) / 1e6))
+    return maps
+
+
+def stamp_text(stamp: float) -> str:
+    """A stamp (s) as the robot reads it, to a microsecond."""
+    micros = round(stamp * 1e6)
+    return f"{micros // 10**6}.{micros % 10**6 * 1000}"
+
+
+def pose_text(x: float, y: float, theta: float) -> str:
+    """A pose in the plane as the robot reads it."""
+    return f"{x:.17g} {y:.17g} 0 0 0 {np.sin(theta / 2):.17g} {np.cos(theta / 2):.17g}"
+
+
+def opening(mounts: np.ndarray, base: str = "base_link") -> list[str]:
+    """Lines that make the writers and wait until somebody listens: /tf_static, /tf, and a topic a sonar."""
+    lines = [f"static 0.0 {base} sonar_{i} {pose_text(*mount)}" for i, mount in enumerate(mounts)]
+    lines.append(f"tf {stamp_text(START_S - 1)} odom {base} {pose_text(0, 0, 0)}")
+    first = [f"range sonar/s{i} {stamp_text(START_S - 1)} sonar_{i} 0.4 0.15 5 nan" for i in range(len(mounts))]
+    return [*lines, *first, "matched"]
+
+
+def frame_lines(
+    stamp: float, pose: Sequence[float], ranges: Iterable[float], limits: tuple[float, float] = (0.15, 5.0)
+) -> list[str]:
+    """Lines of one scan: where the robot is, then what each of its sonars heard."""
+    at = stamp_text(stamp)
+    lines = [f"tf {at} odom base_link {pose_text(*pose)}"]
+    for i, value in enumerate(ranges):
+        lines.append(f"range sonar/s{i} {at} sonar_{i} 0.436332 {limits[0]} {limits[1]} {value:.9g}")
+    return lines
