@@ -7,7 +7,7 @@ BIN := .venv/bin
 READY := .venv/ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup map test check format bench study paper generalise mrpt weights clean
+.PHONY: help setup map test check format bench study paper generalise peers docs mrpt weights clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -20,8 +20,8 @@ $(READY): pyproject.toml constraints.txt
 
 setup: $(READY)  ## make the virtual environment .venv
 
-map: $(READY)  ## map the shipped sample into out/ (look at out/map.png)
-	$(BIN)/echogrid map --out out
+map: $(READY)  ## map the shipped sample into out/ (look at out/map.png, or out/map.html in a browser)
+	$(BIN)/echogrid map --view --out out
 
 test: $(READY)  ## run the tests
 	$(BIN)/python -m pytest
@@ -40,6 +40,8 @@ bench: $(READY)  ## speed and memory (about 4 minutes)
 	$(BIN)/python benchmarks/mapping.py
 	$(BIN)/python benchmarks/models.py
 	$(BIN)/python benchmarks/memory.py
+	$(BIN)/python benchmarks/bags.py
+	$(BIN)/python benchmarks/live.py
 
 study: $(READY)  ## score both networks and the cone on held-out rooms (about 10 minutes)
 	$(BIN)/python experiments/held_out.py --resolution 0.04 set-network network cone
@@ -55,6 +57,13 @@ paper: $(READY)  ## the paper's figures, every model beside the network, and doc
 	$(BIN)/python experiments/held_out.py --robot p3dx --rooms 8 --record held_out_p3dx && wait $$ablation
 	$(BIN)/python benchmarks/models.py --record
 	$(BIN)/python experiments/results.py
+
+peers:  ## install what tests talk to and skip without: rosbag, Fast DDS, Chromium (Debian packages, as root or sudo)
+	tests/peers/install.sh
+
+docs: $(READY)  ## build the documentation site into build/site
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
+	$(BIN)/mkdocs build --strict --site-dir build/site
 
 mrpt:  ## build the MRPT peer for make paper and make bench (Debian packages, as root or through sudo)
 	benchmarks/mrpt/install.sh

@@ -3,7 +3,12 @@
 import re
 from typing import Any
 
+WIDE = {"results.md", "set-network.md", "paper/simulators.md"}
+"""Pages whose tables need the room of the table of contents."""
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Give a block of code that names a file (```` ```yaml robot.yaml ````) the name as its title."""
+    if page.file.src_uri in WIDE:
+        page.meta["hide"] = ["toc"]
     return re.sub(r"^```(\w+) (\S+)$", r'```\1 title="\2"', markdown, flags=re.MULTILINE)

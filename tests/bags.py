@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from mcap_ros2.writer import Writer as McapWriter
+from numpy import ndarray
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.rosbag2 import StoragePlugin
@@ -64,7 +65,7 @@ def turned(yaw: float, pitch: float = 0.0) -> dict[str, float]:
 
 
 def transform(
-    parent: str, child: str, pose: Sequence[float], time: float, z: float = 0.0, pitch: float = 0.0
+    parent: str, child: str, pose: Sequence[float] | ndarray, time: float, z: float = 0.0, pitch: float = 0.0
 ) -> dict[str, Any]:
     x, y, yaw = map(float, pose)
     where = {"translation": {"x": x, "y": y, "z": z}, "rotation": turned(yaw, pitch)}
@@ -76,7 +77,7 @@ def tf(time: float, *transforms: dict[str, Any], topic: str = "/tf") -> Said:
 
 
 def odometry(
-    time: float, pose: Sequence[float], frames: tuple[str, str] = ("odom", "base_link"), topic="/odom"
+    time: float, pose: Sequence[float] | ndarray, frames: tuple[str, str] = ("odom", "base_link"), topic="/odom"
 ) -> Said:
     x, y, yaw = map(float, pose)
     at = {"pose": {"position": {"x": x, "y": y}, "orientation": turned(yaw)}}
@@ -128,7 +129,7 @@ def in_order(messages: Iterable[Said]) -> list[Said]:
     return sorted(messages, key=lambda said: said.time)
 
 
-def seen_points(frame: Frame, robot: Robot) -> np.ndarray:
+def seen_points(frame: Frame, robot: Robot) -> ndarray:
     """Where each sonar takes its echo to be, in the robot's frame; at the end of its range if there is none."""
     ranges = np.where(np.isinf(frame.ranges), robot.max_range_m, frame.ranges)[:, None]
     axes = robot.mounts[:, 2]
@@ -198,29 +199,40 @@ def _field(store: Typestore, node: Any, value: Any) -> Any:
     return np.array(value or [0] * length, what[0])
 
 
-def raw(said: Said, ros1: bool) -> bytes:
+def raw(said: Said, store: Typestore, ros1: bool, little: bool = True) -> bytes:
     """A message as it is sent."""
-    store = types(ros1)
     message = built(store, said.type, said.content)
-    return bytes((store.serialize_ros1 if ros1 else store.serialize_cdr)(message, said.type))
+    if ros1:
+        return bytes(store.serialize_ros1(message, said.type))
+    return bytes(store.serialize_cdr(message, said.type, little_endian=little))
 
 
 def nanoseconds(time: float) -> int:
     return round(time * 1e9)
 
 
-def write(path: Path, messages: Iterable[Said], form: str) -> Path:
-    """Write a bag with rosbags: a file for ROS 1, a folder for ROS 2."""
+def write(
+    path: Path, messages: Iterable[Said], form: str, store: Typestore | None = None, little: bool = True
+) -> Path:
+    """Write a bag with rosbags: a file for ROS 1, a folder for ROS 2.
+
+    Args:
+        path: the file or folder; it must not be there yet.
+        messages: in the order in which they are written.
+        form: one of FORMATS.
+        store: the types; None: those of ``types``.
+        little: the byte order of CDR.
+    """
     ros1 = form == "bag"
     storage = StoragePlugin.MCAP if form == "mcap" else StoragePlugin.SQLITE3
-    store = types(ros1)
+    store = store or types(ros1)
     with BagWriter(path) if ros1 else FolderWriter(path, version=9, storage_plugin=storage) as writer:
         connections = {}
         for said in messages:
             if (said.topic, said.type) not in connections:
                 connection = writer.add_connection(said.topic, said.type, typestore=store)
                 connections[said.topic, said.type] = connection
-            writer.write(connections[said.topic, said.type], nanoseconds(said.time), raw(said, ros1))
+            writer.write(connections[said.topic, said.type], nanoseconds(said.time), raw(said, store, ros1, little))
     return path
 
 

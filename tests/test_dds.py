@@ -54,7 +54,6 @@ def test_a_range_reads_the_message_of_later_releases():
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
-        (b"", "a message that cannot be decoded"),
         (b"\0\1\0\0" + b"\xff" * 100, "a message that cannot be decoded"),
         (
             range_message(dds.Range).serialize().replace(b"sonar_1", b"\xff\xfe\xfdnar1"),
@@ -192,6 +191,32 @@ SILENT = range(45, 65)
 """Frames in which sonar 3 says nothing."""
 
 
+STRANGE = [
+    "tf 1003.0 odom base_link nan 0 0 0 0 0 1",
+    "tf 1003.0 odom base_link 0 0 0 0 0 0 0",
+    "tf 1003.0 base_link odom 0 0 0 0 0 0 1",
+    "tf 5.0 odom base_link 9 9 0 0 0 0 1",
+    "tf 1003.0 odom base_link 1e300 0 0 0 0 0 1",
+    "static 0.0 sonar_0 base_link 0 0 0 0 0 0 1",
+    "range sonar/s0 2000000000.0 sonar_0 0.4 0.1 5 1",
+    "range sonar/s0 1003.0 " + "x" * 5000 + " 0.4 0.1 5 1",
+    "range sonar/s0 1003.0 " + "x" * 300_000 + " 0.4 0.1 5 1",
+    "range sonar/s0 1003.0 nobody nan -inf nan inf",
+    *(f"range sonar/s0 1003.0 made_up_{i} 0.4 0.1 5 1" for i in range(600)),
+    "text sonar/s0_text not-a-range",
+]
+"""What strangers send in between, which changes nothing."""
+
+GARBAGE = """
+import random, socket
+s = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+r = random.Random(1)
+for port in (7400 + 250 * 3, 7401 + 250 * 3, *range(7410 + 250 * 3, 7420 + 250 * 3)):
+    for size in (0, 1, 20, 64, 500, 5000) * 20:
+        s.sendto(r.choice([b"RTPS\\x02\\x01", b""]) + r.randbytes(size), ("127.0.0.1", port))
+"""
+
+
 @pytest.fixture(scope="module")
 def session(network, robot_program, frames, tmp_path_factory):
     """A drive played by Fast DDS to two processes of echogrid live; one is stopped in the end, the other killed."""
@@ -204,6 +229,7 @@ def session(network, robot_program, frames, tmp_path_factory):
         scan = peer.frame_lines(frame.stamp, frame.pose, frame.ranges)
         lines += [line for line in scan if i not in SILENT or "sonar_3 " not in line]
         lines += [scan[5]] if i == 70 else []  # once more
+        lines += STRANGE if i == 30 else []
     lines.append(f"at {0.1 * len(frames) / speed + 20}")
     (folder / "drive.txt").write_text("\n".join(lines) + "\n")
     echogrid = Path(sys.executable).with_name("echogrid")
@@ -226,6 +252,7 @@ def session(network, robot_program, frames, tmp_path_factory):
         assert time.monotonic() < deadline, stopped.poll()
         time.sleep(0.2)
     ports = sockets(network, stopped.pid)
+    network.output(sys.executable, "-c", GARBAGE)
     late = start(network, robot_program, 3, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     said_late, _ = late.communicate("at 0\nat 3\n", timeout=30)
     killed.send_signal(signal.SIGKILL)
@@ -315,6 +342,21 @@ def test_what_happened_is_said_once_in_lines(session):
 
 
 @needs_peer
+def test_what_strangers_sent_is_counted(session):
+    refused = parse_yaml((session["folder"] / "stopped" / "run.yaml").read_text(), "run.yaml")["refused"]
+    for reason in (
+        "a transform that is not finite",
+        "a rotation that is no unit quaternion",
+        "a transform that closes a circle",
+        "a stamp far from those of the others",
+        "a name of a frame that cannot be",
+        "a reading that came twice",
+    ):
+        assert refused[reason] >= 1
+    assert refused["a reading of a sonar that is new, or whose place is not known"] >= 400
+
+
+@needs_peer
 def test_a_kill_leaves_the_last_save_whole(session):
     folder = session["folder"] / "killed"
     assert {"map.npz", "map.pgm", "map.yaml", "map.png", "run.yaml"} <= {path.name for path in folder.iterdir()}
@@ -330,7 +372,7 @@ def test_a_kill_leaves_the_last_save_whole(session):
         (["--local-side", "nan"], {}, "--local-side: found nan, expected 1 to 40 m"),
         (["--save-every", "0"], {}, "--save-every: found 0, expected 1 to 86400 s"),
         (["--half-life", "0"], {}, "--half-life: found 0, expected 0.1 s or more"),
-        (["--interpreter", "cone"], {}, "--interpreter: found cone, expected set-network or its weights"),
+        (["--interpreter", "cone"], {}, "--interpreter: found cone, expected set-network or a file of its weights"),
         (["--interface", "wlan77"], {}, "live: found no interface 'wlan77', expected any or one of "),
         (["--map-topic", "map"], {}, "live: found the topic 'map', expected a name such as /sonar/front"),
     ],

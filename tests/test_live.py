@@ -1,4 +1,5 @@
 from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -14,8 +15,9 @@ from echogrid.messages import Choice
 from echogrid.models import sensor_model
 from echogrid.robot import MAX_SONARS
 from echogrid.scans import LATE, REPEATED
+from echogrid.set_network import SetNetwork
 
-NETWORK = sensor_model("set-network")
+NETWORK = cast(SetNetwork, sensor_model("set-network"))
 START_S = 1000.0
 MOUNTS = [(0.2, 0.0, 0.0), (0.0, 0.2, np.pi / 2), (-0.2, 0.0, np.pi), (0.0, -0.2, -np.pi / 2)]
 
@@ -27,8 +29,8 @@ class Recorder(Mapper):
         self.robot, self.half_life, self.resolution = robot, half_life, resolution or 0.04
         self.frames = []
 
-    def prepare(self, frames):
-        return lambda: None
+    def prepare(self, batch):
+        return lambda: cast(Any, None)
 
     def add(self, frames):
         self.frames += frames
@@ -45,6 +47,10 @@ class Recorder(Mapper):
 @pytest.fixture
 def recorded(monkeypatch):
     monkeypatch.setattr(module, "Mapper", Recorder)
+
+
+def snapshot_of(live) -> Any:
+    return live.snapshot()
 
 
 def header(stamp, frame):
@@ -143,7 +149,7 @@ def test_the_array_has_the_order_of_the_names(recorded):
     live = Live(NETWORK, Settings())
     drive = Drive(live, [(0.1, 0.0, 0.1 * i) for i in range(12)])
     drive.run(30, [1.0] * 12)
-    assert list(live.snapshot().settings["sonars"]) == [f"sonar_{i}" for i in range(12)]
+    assert list(snapshot_of(live).settings["sonars"]) == [f"sonar_{i}" for i in range(12)]
 
 
 def test_the_map_comes_once_a_second_if_it_changed_and_the_local_map_after_each_scan(drive):
@@ -294,14 +300,14 @@ def test_a_sonar_without_a_place_is_left_out_and_joins_when_it_has_one(live, mon
 
 
 def test_the_map_is_kept_when_a_sonar_joins():
-    live = Live(NETWORK, Settings(resolution=0.12))
+    live: Any = Live(NETWORK, Settings(resolution=0.12))
     drive = Drive(live, MOUNTS[:3])
     drive.run(40)
-    before = live.snapshot().grid
+    before = snapshot_of(live).grid
     drive.mounts = MOUNTS
     drive.take(Heard.STATIC, "/tf_static", tf(transform(0, "base_link", "sonar_3", *MOUNTS[3])))
     drive.run(40)
-    after = live.snapshot().grid
+    after = snapshot_of(live).grid
     assert live._mapper.robot.sonars == 4
     assert after.observed.sum() >= before.observed.sum()
     assert after.views.max() > before.views.max()

@@ -207,6 +207,14 @@ def test_our_own_reader_finds_the_same_frames(tmp_path, drive):
         np.testing.assert_allclose(wrap(off[:, 2]), 0, atol=1e-5)
 
 
+def test_a_reading_just_below_the_limit_is_no_no_echo(tmp_path):
+    just = np.nextafter(ROBOT.max_range_m, 0)
+    record(tmp_path / "map.mcap", [Frame(START, np.zeros(3), np.full(ROBOT.sonars, just))])
+    ranges = [message for topic, _, message in by_mcap(tmp_path / "map.mcap") if topic.startswith("/sonar")]
+    assert len(ranges) == ROBOT.sonars
+    assert all(message.range < message.max_range for message in ranges)
+
+
 def test_only_the_map_and_the_static_frames_are_latched_and_all_is_reliable(tmp_path):
     record(tmp_path / "map.mcap", a_drive(1))
     with AnyReader([tmp_path / "map.mcap"]) as reader:
@@ -270,6 +278,7 @@ def test_a_drive_of_any_length_has_a_bounded_number_of_maps_spread_over_it(hours
     assert least <= len(taken) < MAX_MAPS
     assert taken[0] == pytest.approx(MAP_PERIOD_S, abs=max(0.5, hours / 10))
     assert all(b - a >= MAP_PERIOD_S for a, b in pairwise(taken))
+    assert taken[-1] >= 0.8 * min(hours, 15) * 3600
 
 
 def test_large_maps_are_fewer():

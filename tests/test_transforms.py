@@ -66,6 +66,22 @@ def test_in_the_plane_a_pose_looks_where_its_x_axis_points(a):
     assert slope(a) == pytest.approx(ahead[2], abs=1e-9)
 
 
+def turned_by(one, other):
+    return float(np.arccos(np.clip((np.trace(one.as_matrix().T @ other.as_matrix()) - 1) / 2, -1, 1)))
+
+
+def rigid(transforms, target, source, stamp, reach=0.0):
+    found = transforms.rigid(target, source, stamp, reach)
+    assert found is not None
+    return found
+
+
+def pose(transforms, target, source, stamp, reach=0.0):
+    found = transforms.pose(target, source, stamp, reach)
+    assert found is not None
+    return found
+
+
 def heard(*samples, **kind):
     """``b`` in ``a`` at some times: (stamp, x, yaw)."""
     found = Transforms()
@@ -78,7 +94,7 @@ def heard(*samples, **kind):
 @few
 def test_between_two_samples_the_heading_turns_evenly_on_the_shorter_way(yaw0, yaw1, share, x0, x1):
     turns = Rotation.from_quat([yawed(yaw0), yawed(yaw1)])
-    if (turns[0].inv() * turns[1]).magnitude() > pi - 1e-3:
+    if turned_by(turns[0], turns[1]) > pi - 1e-3:
         return  # either way round is the shorter
     found = heard((10.0, x0, yaw0), (11.0, x1, yaw1)).rigid("a", "b", 10.0 + share)
     expected = np.eye(4)
@@ -98,8 +114,8 @@ def test_a_robot_that_leans_a_little_is_interpolated_nearly_as_on_the_sphere(yaw
     for stamp, turn in enumerate(turns):
         found.put("a", "b", float(stamp), (0, 0, 0), turn)
     expected = Slerp([0.0, 1.0], Rotation.from_quat(turns))(share)
-    apart = expected.inv() * Rotation.from_quat(found.rigid("a", "b", share).rotation)
-    assert apart.magnitude() < 0.06  # the lean itself is up to 0.2
+    apart = turned_by(expected, Rotation.from_quat(rigid(found, "a", "b", share).rotation))
+    assert apart < 0.06  # the lean itself is up to 0.2
 
 
 @given(st.lists(st.tuples(st.integers(0, 40), numbers, angles), min_size=1, max_size=12, unique_by=lambda s: s[0]))
@@ -109,13 +125,13 @@ def test_in_which_order_samples_come_does_not_matter(samples):
     mixed = random.Random(1).sample(samples, len(samples)) + samples[:2]
     one, other = heard(*sorted(samples)), heard(*mixed)
     for stamp in np.arange(-1.0, 11.0, 0.3):
-        assert one.rigid("a", "b", stamp, reach=0.5) == other.rigid("a", "b", stamp, reach=0.5)
+        assert one.rigid("a", "b", stamp, 0.5) == other.rigid("a", "b", stamp, 0.5)
 
 
 def test_a_sample_that_comes_again_replaces_the_one_before():
     found = heard((1.0, 5.0, 0.0), (2.0, 7.0, 0.0), (1.0, 6.0, 0.0))
-    assert found.pose("a", "b", 1.0)[0] == 6.0
-    assert found.pose("a", "b", 1.5)[0] == pytest.approx(6.5)
+    assert pose(found, "a", "b", 1.0)[0] == 6.0
+    assert pose(found, "a", "b", 1.5)[0] == pytest.approx(6.5)
 
 
 def test_outside_its_samples_a_frame_is_known_only_as_far_as_one_reaches():
@@ -123,17 +139,17 @@ def test_outside_its_samples_a_frame_is_known_only_as_far_as_one_reaches():
     assert found.pose("a", "b", 9.9) is None
     assert found.pose("a", "b", 11.1) is None
     assert found.pose("a", "b", 9.9, reach=0.05) is None
-    assert found.pose("a", "b", 9.9, reach=0.2)[0] == 1.0  # as it was then
+    assert pose(found, "a", "b", 9.9, reach=0.2)[0] == 1.0  # as it was then
     assert found.pose("a", "b", 11.1, reach=0.05) is None
-    assert found.pose("a", "b", 11.1, reach=0.2)[0] == pytest.approx(3.2)  # as it went on
+    assert pose(found, "a", "b", 11.1, reach=0.2)[0] == pytest.approx(3.2)  # as it went on
     assert found.known("a", "b") == found.known("b", "a") == (10.0, 11.0)
 
 
 def test_a_single_sample_holds_as_far_as_one_reaches():
     found = heard((10.0, 1.0, 0.5))
-    assert found.pose("a", "b", 10.0)[2] == pytest.approx(0.5)
+    assert pose(found, "a", "b", 10.0)[2] == pytest.approx(0.5)
     assert found.pose("a", "b", 13.0) is None
-    np.testing.assert_allclose(found.pose("a", "b", 13.0, reach=5.0), [1.0, 2.0, 0.5])
+    np.testing.assert_allclose(pose(found, "a", "b", 13.0, reach=5.0), [1.0, 2.0, 0.5])
 
 
 @pytest.mark.parametrize(("x", "yaw", "gap"), [(0.31, 0.0, 2.1), (0.0, 0.36, 2.1)])
@@ -148,12 +164,12 @@ def test_over_a_long_gap_in_which_a_frame_moved_nothing_is_made_up(x, yaw, gap):
 
 def test_after_a_jump_a_frame_does_not_go_on_with_it():
     found = heard((0.0, 0.0, 0.0), (10.0, 50.0, 0.0))
-    assert found.pose("a", "b", 11.0, reach=2.0)[0] == 50.0
+    assert pose(found, "a", "b", 11.0, reach=2.0)[0] == 50.0
 
 
 def test_what_is_static_holds_at_all_times_and_the_last_word_counts():
     found = heard((10.0, 1.0, 0.0), (5.0, 2.0, 0.0), static=True)
-    assert {found.pose("a", "b", stamp)[0] for stamp in (-1e9, 0.0, 5.0, 10.0, 1e9)} == {2.0}
+    assert {pose(found, "a", "b", stamp)[0] for stamp in (-1e9, 0.0, 5.0, 10.0, 1e9)} == {2.0}
     assert found.known("a", "b") == (-inf, inf)
     assert not found.moves("a", "b")
 
@@ -180,7 +196,7 @@ def test_any_frame_is_found_in_any_other_through_the_tree(tree, data):
         to_root.append(to_root[parent] @ matrix(second if stamp and not static else first))
     for target, source in data.draw(st.lists(st.tuples(*[st.integers(0, len(tree))] * 2), min_size=4, max_size=4)):
         expected = np.linalg.inv(to_root[target]) @ to_root[source]
-        assert_same(found.rigid(f"f{target}", f"f{source}", stamp), expected, atol=1e-6)
+        assert_same(rigid(found, f"f{target}", f"f{source}", stamp), expected, atol=1e-6)
         still = all(tree[k - 1][1] for k in path(tree, target) ^ path(tree, source))
         assert found.moves(f"f{target}", f"f{source}") is not still
 
@@ -228,14 +244,14 @@ def test_a_frame_that_gets_another_parent_forgets_the_one_before():
     found.put("odom", "base_footprint", 1.0, (2, 0, 0), FLAT)
     assert found.put("base_footprint", "base_link", 1.0, (0, 0, 0.1), FLAT) is None
     assert found.line("base_link") == ["base_link", "base_footprint", "odom"]
-    assert found.pose("odom", "base_link", 1.0)[0] == 2.0
+    assert pose(found, "odom", "base_link", 1.0)[0] == 2.0
     assert found.rigid("odom", "base_link", 0.0) is None
 
 
 def test_a_leading_slash_counts_for_nothing():
     found = Transforms()
     found.put("/odom", "/base_link", 0.0, (1, 2, 0), FLAT)
-    np.testing.assert_allclose(found.pose("odom", "base_link", 0.0), [1, 2, 0])
+    np.testing.assert_allclose(pose(found, "odom", "base_link", 0.0), [1, 2, 0])
     assert "base_link" in found
     assert "odom" in found
     assert "map" not in found
@@ -247,14 +263,14 @@ def test_odometry_gives_way_to_tf_whichever_comes_first():
         found = Transforms()
         for weak in order:
             assert found.put("odom", "base_link", 0.0, (5.0 if weak else 7.0, 0, 0), FLAT, weak=weak) is None
-        assert found.pose("odom", "base_link", 0.0)[0] == 7.0
+        assert pose(found, "odom", "base_link", 0.0)[0] == 7.0
         assert not found.is_weak("base_link")
 
 
 def test_a_place_that_moves_is_not_made_static_by_an_old_word():
     found = heard((0.0, 1.0, 0.0), (1.0, 2.0, 0.0))
     assert found.put("a", "b", 0.0, (9, 9, 9), FLAT, static=True) is None
-    assert found.pose("a", "b", 0.5)[0] == 1.5
+    assert pose(found, "a", "b", 0.5)[0] == 1.5
 
 
 def test_what_does_not_move_is_kept_in_the_copy():
@@ -263,7 +279,7 @@ def test_what_does_not_move_is_kept_in_the_copy():
     still = found.still()
     assert still.children() == ["sonar"]
     still.put("a", "b", 0.0, (9, 9, 9), FLAT)
-    assert found.pose("a", "b", 0.0)[0] == 1.0
+    assert pose(found, "a", "b", 0.0)[0] == 1.0
 
 
 @pytest.mark.parametrize(
@@ -283,14 +299,14 @@ def test_what_does_not_move_is_kept_in_the_copy():
 def test_what_is_no_transform_is_refused_and_does_no_harm(parent, child, translation, rotation, reason):
     found = heard((0.0, 1.0, 0.0))
     assert reason in found.put(parent, child, 0.0, translation, rotation)
-    assert found.pose("a", "b", 0.0)[0] == 1.0
+    assert pose(found, "a", "b", 0.0)[0] == 1.0
     assert found.children() == ["b"]
 
 
 def test_a_quaternion_that_is_nearly_one_is_made_one():
     found = Transforms()
     found.put("a", "b", 0.0, (0, 0, 0), (0, 0, 0.72, 0.72))
-    assert found.pose("a", "b", 0.0)[2] == pytest.approx(pi / 2)
+    assert pose(found, "a", "b", 0.0)[2] == pytest.approx(pi / 2)
 
 
 def test_made_up_frames_do_not_fill_the_memory(monkeypatch):
@@ -298,7 +314,7 @@ def test_made_up_frames_do_not_fill_the_memory(monkeypatch):
     found = Transforms()
     refused = [found.put("a", f"f{k}", 0.0, (0, 0, 0), FLAT) for k in range(60)]
     assert refused[:50] == [None] * 50
-    assert all("frame number 51" in reason for reason in refused[50:])
+    assert refused[50:] == ["a transform of frame number 51"] * 10
     assert found.put("a", "f7", 1.0, (1, 0, 0), FLAT) is None
 
 
@@ -310,7 +326,7 @@ def test_an_edge_keeps_a_bounded_past(monkeypatch):
     held = found._edges["b"].stamps
     assert len(held) == len(found._edges["b"].poses) < 600 + 2 * 512
     for k in range(5_400, 6_000):
-        assert found.pose("a", "b", 0.1 * k)[0] == k
+        assert pose(found, "a", "b", 0.1 * k)[0] == k
     for k in range(6_000):
         found.put("a", "b", 1_000 + 0.001 * k, (float(k), 0, 0), FLAT)
     assert len(found._edges["b"].stamps) <= 2_000
@@ -322,4 +338,4 @@ def test_a_long_line_of_frames_ends():
         found.put(f"f{k}", f"f{k + 1}", 0.0, (1, 0, 0), FLAT, static=True)
     found.put("f200", "f0", 0.0, (1, 0, 0), FLAT, static=True)
     assert len(found.line("f200")) <= 64
-    assert found.rigid("f0", "f50", 0.0).translation[0] == 50.0
+    assert rigid(found, "f0", "f50", 0.0).translation[0] == 50.0

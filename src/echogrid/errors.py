@@ -19,6 +19,10 @@ class InputError(EchogridError):
         super().__init__(f"{where}: found {found}, expected {expected}")
         self.where, self.found, self.expected = str(where), found, expected
 
+    def __reduce__(self) -> tuple[type, tuple[str, str, str]]:
+        # An error that is raised in another process is made anew of these.
+        return type(self), (self.where, self.found, self.expected)
+
 
 class UsageError(EchogridError):
     """A request that cannot be carried out as it stands, though every file is well formed."""

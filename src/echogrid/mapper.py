@@ -121,18 +121,24 @@ class Mapper:
             resolution: side of a cell, m; None: FINE_CELL_M.
             half_life: time in which evidence comes to count half, s; None: it never fades.
         """
-        self.robot, self.half_life = robot, half_life
+        self.half_life = half_life
         self.resolution = resolution or FINE_CELL_M
         self._network = network
         self._side = int(np.ceil(2 * REACH_M / self.resolution)) + 2
         span = self._side + int(np.ceil(WINDOW_M / self.resolution)) + 1
-        array = array_of(robot.mounts, robot.max_range_m, robot.footprint_radius_m)
-        given = jax.tree.map(jnp.asarray, (network.weights, array))
-        self._window = partial(_window, *given, resolution=self.resolution, side=self._side, span=span)
+        self._sizes = {"resolution": self.resolution, "side": self._side, "span": span}
         blank = dict.fromkeys(SUMS, np.float32(0)[...]) | {"views": np.int32(0)[...]}
         self._grown = GrowingGrid(self.resolution, blank)
-        self._memory = Memory(robot.mounts, half_life)
+        self.equip(robot)
         self._epoch, self._summed_epoch, self._now = -np.inf, -np.inf, -np.inf
+
+    def equip(self, robot: Robot) -> None:
+        """Go on with another array of sonars; the map stays, what was remembered of the surroundings does not."""
+        self.robot = robot
+        array = array_of(robot.mounts, robot.max_range_m, robot.footprint_radius_m)
+        given = jax.tree.map(jnp.asarray, (self._network.weights, array))
+        self._window = partial(_window, *given, **self._sizes)
+        self._memory = Memory(robot.mounts, self.half_life)
 
     def add(self, frames: Iterable[Frame]) -> None:
         """Take scans into the map at once, in their order.

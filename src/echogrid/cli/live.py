@@ -64,8 +64,8 @@ class Live:
     """set-network, or a file of its weights."""
     half_life: Annotated[float | None, arg(metavar="S")] = None
     """For places that change: time in which what was seen comes to count half, s. Default: it never fades."""
-    save_every: Annotated[float, arg(metavar="S")] = 60.0
-    """Time from one saving to the next, s."""
+    save_every: Annotated[float, arg(metavar="S")] = 55.0
+    """Time from one saving to the next, s. With the time it takes to save, a kill costs a minute at most."""
 
     def run(self) -> None:
         """Map until stopped."""

@@ -16,7 +16,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from echogrid.cli.arguments import Ros, bar, open_log, print_notes
 from echogrid.errors import InputError, UsageError
-from echogrid.files import made
+from echogrid.files import made, replacing
 from echogrid.grid import Grid
 from echogrid.log import Frame, describe
 from echogrid.readers import bag, load_log
@@ -85,6 +85,8 @@ class Map:
     pgm: Literal["trinary", "scale", "raw"] = "trinary"
     """What map.pgm holds: for navigation trinary; scale and raw hold probabilities, in which Nav2 as it comes finds
     no walls (docs/formats.md says what to set)."""
+    view: bool = False
+    """Write map.html as well: the map and the drive to explore in a browser."""
     mcap: bool = False
     """Also write map.mcap: poses, ranges and the map as it grew as messages of ROS 2, for Foxglove and rosbags."""
     rerun: bool = False
@@ -105,6 +107,7 @@ class Map:
             raise UsageError(f"--half-life: found {self.half_life:g}, expected 0.1 to 1e7 s")
         log, robot, named = open_log(self.log, self.robot, self.ros.choice())
         model = sensor_model(self.interpreter)
+        title = f"{Path(log.name).name}, {robot.name}, {model.name}"
         path, count, grid = _Path(), 0, None
         followers: list[_Follower] = []
 
@@ -119,7 +122,7 @@ class Map:
 
         begin = time.perf_counter()
         with made(self.out), ExitStack() as stack:  # a folder that cannot be made is found now, not after the mapping
-            followers += self._followers(robot, stack)
+            followers += self._followers(robot, title, stack)
             for step in build_map(frames(), robot, model, self.resolution, self.half_life):
                 grid = step
                 for follower in followers:
@@ -135,7 +138,6 @@ class Map:
                 settings |= {"weights": model.recipe}
             elif is_dataclass(model) and not isinstance(model, type):
                 settings |= {"parameters": asdict(model)}
-            title = f"{Path(log.name).name}, {robot.name}, {model.name}"
             write_map(self.out, grid, path.points(), settings, title, self.pgm)
             for follower in followers:
                 follower.finish(grid)
@@ -148,8 +150,12 @@ class Map:
         if self.rerun:
             self._show()
 
-    def _followers(self, robot: Robot, stack: ExitStack) -> Iterator[_Follower]:
+    def _followers(self, robot: Robot, title: str, stack: ExitStack) -> Iterator[_Follower]:
         """What the options ask for beside the map; their files are whole when the stack is closed."""
+        if self.view:
+            from echogrid.page import Page
+
+            yield Page(stack.enter_context(replacing(self.out / "map.html")), robot, title)
         if self.mcap:
             from echogrid.recording import Recorder
 

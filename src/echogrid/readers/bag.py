@@ -443,9 +443,9 @@ def _listed(topics: Collection[Topic]) -> str:
 
 def _few(names: Collection[str]) -> str:
     """Names for a message, in short: those that differ by numbers alone are one, as a pattern of --topics."""
-    alike: dict[str, list[str]] = {}
+    alike: dict[tuple[str, ...], list[str]] = {}
     for name in names:
-        alike.setdefault(re.sub(r"\d+", "*", name), []).append(name)
+        alike.setdefault(tuple(re.split(r"\d+", name)), []).append(name)
     parts: list[str] = []
     for each in alike.values():
         pieces = zip(*(re.split(r"(\d+)", name) for name in each), strict=True)
@@ -472,7 +472,7 @@ def _frames(path: Path, plan: Plan, notes: dict[str, int]) -> Iterator[Frame]:
             refused["a reading of a sonar without a place, or that was not heard in the beginning"] += 1
         elif scans.add(number, stamp, robot.clean_one(reading(range_m, low, high))) == BACK:
             found = f"a clock that jumps back by more than {BACK_S:g} s at {stamp:.3f} s"
-            raise InputError(f"{bag.name}: {sonar[0]}", found, "time that goes on")
+            raise InputError(f"{bag.name}: {_short(sonar[0])}", found, "time that goes on: cut the bag there in two")
 
     with BagFile(path) as bag:
         for topic, kind, received, content in bag.messages(plan.topics):

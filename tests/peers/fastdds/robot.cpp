@@ -14,6 +14,7 @@
 // Stamps are written SEC.NANOSECONDS. Each map is a line: "map" or "local", stamp, frame, resolution, columns, rows,
 // origin x and y, microseconds since the last range of that stamp was published (or -1), and the cells, one character
 // each: # 100, . 0, ? -1, ! any other.
+#include <array>
 #include <chrono>
 #include <cstdio>
 #include <iostream>
@@ -55,6 +56,16 @@ static builtin_interfaces::msg::dds_::Time_ time_of(const std::string& text) {
     time.sec(std::stoi(text.substr(0, dot)));
     time.nanosec(dot == std::string::npos ? 0 : std::stoul(text.substr(dot + 1)));
     return time;
+}
+
+static std::array<double, 7> numbers(std::istream& words) {
+    std::array<double, 7> found{};
+    for (double& value : found) {
+        std::string word;
+        words >> word;
+        value = std::stod(word);  // unlike a stream it knows nan and inf
+    }
+    return found;
 }
 
 class MapListener : public DataReaderListener {
@@ -198,11 +209,8 @@ private:
 
     void transform(bool fixed, std::istream& words) {
         std::string stamp, parent, child;
-        double v[7];
         words >> stamp >> parent >> child;
-        for (double& value : v) {
-            words >> value;
-        }
+        const auto v = numbers(words);
         geometry_msgs::msg::dds_::TransformStamped_ one;
         one.header().stamp(time_of(stamp));
         one.header().frame_id(parent);
@@ -219,11 +227,8 @@ private:
 
     void odometry(std::istream& words) {
         std::string stamp, parent, child;
-        double v[7];
         words >> stamp >> parent >> child;
-        for (double& value : v) {
-            words >> value;
-        }
+        const auto v = numbers(words);
         nav_msgs::msg::dds_::Odometry_ message;
         message.header().stamp(time_of(stamp));
         message.header().frame_id(parent);
