@@ -62,8 +62,7 @@ peers:  ## install what tests talk to and skip without: rosbag, Fast DDS, Chromi
 	tests/peers/install.sh
 
 docs: $(READY)  ## build the documentation site into build/site
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
-	$(BIN)/mkdocs build --strict --site-dir build/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 mrpt:  ## build the MRPT peer for make paper and make bench (Debian packages, as root or through sudo)
 	benchmarks/mrpt/install.sh

@@ -146,7 +146,7 @@ def fits(shown, written):
 
 RUN = [
     *("tutorial.md", "how-to/map-a-log.md", "how-to/topics-and-frames.md", "how-to/back-to-ros.md"),
-    *("how-to/look-at-a-map.md", "how-to/changing-places.md", "how-to/simulate.md", "how-to/score.md"),
+    *("how-to/look-at-a-map.md", "how-to/changing-places.md", "how-to/score.md"),
     *("from-mrpt.md", "sensors.md", "api.md"),
 ]
 """Pages with something to run, in an order in which each finds the files of those it refers to."""

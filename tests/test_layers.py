@@ -11,12 +11,13 @@ PACKAGE = Path(echogrid.__file__).parent
 
 # A module imports only from modules to its left.
 ORDER = [
-    *("errors", "geometry", "regions", "files", "robot", "world", "acoustics", "rooms", "log", "transforms", "scans", "messages"),
+    *("errors", "geometry", "regions", "files", "robot", "world", "acoustics", "rooms", "log"),
+    *("transforms", "scans", "messages"),
     *("readers.lines", "readers.csv_log", "readers.carmen", "readers.bag_file", "readers.bag", "readers"),
     *("grid", "metrics", "drive", "echo", "simulate", "memory", "interpret", "set_network", "beam"),
     *("classical", "calculi", "em", "models", "mapper", "mapping"),
     *("examples", "lessons", "train", "set_training"),
-    *("picture", "mapfile", "recording", "page", "viewer", "live", "dds"),
+    *("picture", "map_server", "mapfile", "recording", "page", "viewer", "live", "dds"),
     *("cli.arguments", "cli.maps", "cli.simulation", "cli.live", "cli"),
 ]
 

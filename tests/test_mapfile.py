@@ -18,7 +18,8 @@ from echogrid import mapfile
 from echogrid.errors import EchogridError, InputError, UsageError
 from echogrid.files import replacing
 from echogrid.grid import P_MAX, P_MIN, Grid, logit, sigmoid
-from echogrid.mapfile import occupancy, read_map, read_truth, write_map, write_truth
+from echogrid.map_server import occupancy
+from echogrid.mapfile import read_map, read_truth, write_map, write_truth
 from echogrid.metrics import Truth
 
 FILES = {"map.pgm", "map.yaml", "map.png", "map.npz", "run.yaml"}
@@ -590,7 +591,7 @@ def test_a_map_is_written_into_a_folder_that_is_made(tmp_path):
 @pytest.mark.parametrize(
     "failure", [OSError(28, "No space left on device"), RuntimeError("bug"), KeyboardInterrupt()]
 )
-@pytest.mark.parametrize("step", ["draw_map", "_save_npz", "_pgm"])
+@pytest.mark.parametrize("step", ["draw_map", "_save_npz", "pgm"])
 def test_a_write_that_fails_leaves_nothing_behind(tmp_path, monkeypatch, failure, step):
     write_map(tmp_path / "old", one_wall(1, 1), PATH, {"run": "old"})
     before = everything_in(tmp_path / "old")
@@ -604,7 +605,7 @@ def test_a_write_that_fails_leaves_nothing_behind(tmp_path, monkeypatch, failure
         with pytest.raises(expected) as error:
             write_map(folder, a_grid(), PATH, {})
         if expected is UsageError:
-            name = {"draw_map": "map.png", "_save_npz": "map.npz", "_pgm": "map.pgm"}[step]
+            name = {"draw_map": "map.png", "_save_npz": "map.npz", "pgm": "map.pgm"}[step]
             assert str(error.value).startswith(f"{folder / name}: found No space left on device")
     assert everything_in(tmp_path / "old") == before
     assert not (tmp_path / "new").exists()

@@ -10,15 +10,23 @@ from echogrid.errors import UsageError
 from echogrid.geometry import compose
 from echogrid.mapper import FORGOTTEN, SUMS, Mapper
 from echogrid.models import sensor_model
-from echogrid.set_network import array_of, asked, moved
+from echogrid.set_network import SetNetwork, array_of, asked, moved
 from echogrid.simulate import Simulator
 from echogrid.world import parse_world
 
 B21 = Robot.load("b21")
 CELL_M = 0.1
-NETWORK = sensor_model("set-network")
 FAR = 20.0
 """No map of one scan reaches half as far, m."""
+
+
+def default_network() -> SetNetwork:
+    network = sensor_model("set-network")
+    assert isinstance(network, SetNetwork)
+    return network
+
+
+NETWORK = default_network()
 
 
 def adding(network):

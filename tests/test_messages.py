@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bags import B21, cloud, cloud2, odometry, ranging, sample, seen_points, sonar_array, tf, transform, types
-from bags import built as built_by
+from bag_writers import B21, cloud, cloud2, odometry, ranging, sample, seen_points, sonar_array, tf, transform, types
+from bag_writers import built as built_by
 from echogrid.messages import Choice, RangeSaid, Sonar, points_of, put_odometry, put_transforms, ranges_of, seconds
 from echogrid.robot import MAX_SONARS
 from echogrid.transforms import Transforms

@@ -21,7 +21,8 @@ from echogrid.errors import UsageError
 from echogrid.geometry import compose, inverse, wrap
 from echogrid.grid import Grid
 from echogrid.log import Frame
-from echogrid.mapfile import occupancy, read_map
+from echogrid.map_server import occupancy
+from echogrid.mapfile import read_map
 from echogrid.readers import load_log, write_csv
 from echogrid.recording import MAP_PERIOD_S, MAX_MAP_CELLS, MAX_MAPS, Pace, Recorder, _ros_time, _stored
 from echogrid.robot import Robot

@@ -3,7 +3,7 @@ from math import cos, inf, nan, pi, sin
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -90,6 +90,8 @@ def heard(*samples, **kind):
     return found
 
 
+@example(3.0, -3.0, 0.5, 0.0, 0.0)
+@example(-2.0, 2.0, 0.25, 0.0, 1.0)
 @given(angles, angles, st.floats(0.0, 1.0), numbers, numbers)
 @few
 def test_between_two_samples_the_heading_turns_evenly_on_the_shorter_way(yaw0, yaw1, share, x0, x1):

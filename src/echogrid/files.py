@@ -9,7 +9,7 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from echogrid.errors import UsageError
+from echogrid.errors import InputError, UsageError
 
 
 @contextmanager
@@ -60,3 +60,28 @@ def made(folder: Path) -> Generator[None]:
             with suppress(OSError):
                 each.rmdir()
         raise
+
+
+def plain_file(path: Path, expected: str, limit: int) -> Path:
+    """The path, once it is known to be a plain file of at most ``limit`` bytes (a pipe would never end)."""
+    if os.path.isdir(path):
+        raise InputError(path, "a folder", expected)
+    if not os.path.lexists(path):
+        raise InputError(path, "no such file", expected)
+    if not os.path.isfile(path):
+        raise InputError(path, "something that is not a plain file", expected)
+    if os.path.getsize(path) > limit:
+        raise InputError(path, f"more than {limit} bytes", expected)
+    return path
+
+
+def read_bytes(path: Path, expected: str, limit: int) -> bytes:
+    """What a file holds, of at most ``limit`` bytes.
+
+    Raises:
+        InputError: it cannot be read, is no plain file, or longer.
+    """
+    try:
+        return plain_file(path, expected, limit).read_bytes()
+    except OSError as error:
+        raise InputError(path, error.strerror or str(error), expected) from None

@@ -14,6 +14,9 @@ P_MIN, P_MAX = 0.02, 0.98
 MAX_CELLS = 400_000_000
 """A map beyond this (1.6 GB of log-odds) is a broken pose, not a building."""
 
+MAX_FILE_BYTES = 10 * MAX_CELLS
+"""No map or truth of MAX_CELLS cells needs more; a longer file is something else."""
+
 
 def logit(p: Float[ndarray, "*n"] | float) -> Float[ndarray, "*n"]:
     """Log-odds of a probability."""
@@ -87,7 +90,7 @@ class Grid:
         filled = np.where(votes >= 3, np.maximum(self.log_odds, mean), self.log_odds)
         cleared = np.where((votes <= 1) & (self.log_odds > 0), 0.0, filled)
         log_odds = np.where(self.observed, cleared, self.log_odds).astype(np.float32)
-        return Grid(log_odds, self.observed, self.resolution, self.origin)
+        return Grid(log_odds, self.observed, self.resolution, self.origin, self.views)
 
 
 def covered(

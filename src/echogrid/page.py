@@ -8,9 +8,9 @@ import base64
 import hashlib
 import html
 import json
-import math
 import re
 import zlib
+from collections import deque
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -39,6 +39,9 @@ MAX_CHANGES = 64_000_000
 TOLERANCE = 3
 """A cell of a map on the way is brought up to date when its code is off by more than this (p by 0.01)."""
 
+AHEAD = 2
+"""Batches of frames that ``build_map`` reads before it has fused the one whose map it yields: its WORKERS."""
+
 SILENT_M = 2.5
 """No echo is drawn as a cone of this length: how far it reaches is not known, and long cones hide the map."""
 
@@ -54,7 +57,9 @@ class _Kept:
     """The observed part of the map at one time."""
 
     scans: int
-    """How many scans had been fused."""
+    """How many scans had been fused, or about as many."""
+    read: int
+    """How many scans had been read."""
     origin: tuple[float, float]
     """World x, y of the lower left corner of its first cell, m."""
     resolution: float
@@ -85,7 +90,8 @@ class Recording:
         self._frames: list[tuple[int, Frame]] = []
         self._last: Frame | None = None
         self._maps: list[_Kept] = []
-        self._calls, self._map_stride = 0, 1
+        self._calls, self._map_stride, self._again = 0, 1, 0
+        self._read: deque[int] = deque(maxlen=AHEAD + 1)
 
     def add(self, frame: Frame) -> None:
         """Take the next frame of the log."""
@@ -97,24 +103,24 @@ class Recording:
             self._frames = self._frames[::2]
             self.stride *= 2
 
-    def keep(self, grid: Grid, scans: int | None = None) -> None:
+    def keep(self, grid: Grid) -> None:
         """Keep a copy of the map so far.
 
         Args:
-            grid: the map; all maps of a recording have cells of one size on one lattice.
-            scans: how many of the frames it holds; None: all that were added.
+            grid: what ``build_map`` has just yielded; all maps of a recording have cells of one size on one lattice.
         """
+        self._again = self._again + 1 if self._read and self._read[-1] == self.scans else 0
+        self._read.append(self.scans)
         self._calls += 1
         if (self._calls - 1) % self._map_stride:
             return
         part = _observed_part(grid)
         if part is None:
             return
-        codes = _codes(part)
-        kept = zlib.compress(codes.tobytes(), 1)
-        self._maps.append(
-            _Kept(self.scans if scans is None else scans, part.origin, part.resolution, part.shape, kept)
-        )
+        # Of the first batches only the sum is known.
+        scans = self._read[0] if self._calls > AHEAD else self._read[0] * self._calls // (AHEAD + 1)
+        codes = zlib.compress(_codes(part).tobytes(), 1)
+        self._maps.append(_Kept(scans, self.scans, part.origin, part.resolution, part.shape, codes))
         if len(self._maps) > MAX_MAPS:
             self._maps = self._maps[::2]
             self._map_stride *= 2
@@ -127,7 +133,21 @@ class Recording:
 
     def maps(self) -> list[_Kept]:
         """The kept maps that lack some of the scans, from the first to the last."""
-        return [kept for kept in self._maps if kept.scans < self.scans]
+        # Who reads ahead yields the last maps after the last frame; one who reads a frame ahead yields two so.
+        maps = self._maps if self._again >= AHEAD else [replace(kept, scans=kept.read) for kept in self._maps]
+        return [kept for kept in maps if kept.scans < self.scans]
+
+
+class Page(Recording):
+    """A recording that becomes a page when the map is finished."""
+
+    def __init__(self, path: Path, robot: Robot, title: str):
+        super().__init__(robot)
+        self.path, self.title = path, title
+
+    def finish(self, grid: Grid) -> None:
+        """Write the page, see ``write_page``."""
+        write_page(self.path, grid, self, self.title)
 
 
 def _copied(frame: Frame) -> Frame:
@@ -269,7 +289,9 @@ class _Lattice:
     def holding(low: Int[ndarray, "2"], high: Int[ndarray, "2"]) -> "_Lattice":
         """The finest that holds ``low <= [row, col] < high`` and makes an image that browsers draw."""
         rows, cols = (int(n) for n in high - low)
-        block = max(math.ceil(math.sqrt(rows * cols / MAX_IMAGE_CELLS)), math.ceil(max(rows, cols) / MAX_IMAGE_SIDE))
+        block = 1
+        while (-(-rows // block)) * (-(-cols // block)) > MAX_IMAGE_CELLS or max(rows, cols) > block * MAX_IMAGE_SIDE:
+            block += 1
         return _Lattice(low, (-(-rows // block), -(-cols // block)), block)
 
     def largest(self, values: Integer[ndarray, "rows cols"], at: Int[ndarray, "2"]) -> Integer[ndarray, "_ _"]:
@@ -297,7 +319,10 @@ def _maps(grid: Grid, recording: Recording) -> tuple[dict[str, Any], dict[str, n
     final = _observed_part(grid) or Grid(grid.log_odds[:1, :1], grid.observed[:1, :1], grid.resolution, grid.origin)
     codes = _codes(final)
     packed = zlib.compress(codes.tobytes(), 1)
-    kept = [*recording.maps(), _Kept(recording.scans, final.origin, final.resolution, final.shape, packed)]
+    kept = [
+        *recording.maps(),
+        _Kept(recording.scans, recording.scans, final.origin, final.resolution, final.shape, packed),
+    ]
     corners = [_cell_at(grid, part.origin) for part in kept]
     ends = [corner + part.shape for corner, part in zip(corners, kept, strict=True)]
     lattice = _Lattice.holding(np.min(corners, axis=0), np.max(ends, axis=0))

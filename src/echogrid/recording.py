@@ -23,7 +23,7 @@ from echogrid.files import replacing, unwritable
 from echogrid.geometry import compose, inverse
 from echogrid.grid import Grid
 from echogrid.log import Frame
-from echogrid.mapfile import occupancy
+from echogrid.map_server import occupancy
 from echogrid.robot import Robot
 
 MAP_FRAME, ROBOT_FRAME = "map", "base_link"

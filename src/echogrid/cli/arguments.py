@@ -26,9 +26,9 @@ class Ros:
 
     topics: Annotated[tuple[str, ...], arg(metavar="[TOPIC ...]")] = ()
     """Topics of the sonars (and of odometry), by name or pattern ('/front/*'). Default: all."""
-    base_frame: str | None = None
+    base_frame: Annotated[str | None, arg(metavar="FRAME")] = None
     """Frame of the robot. Default: the one that carries the sonars and has a pose."""
-    fixed_frame: str | None = None
+    fixed_frame: Annotated[str | None, arg(metavar="FRAME")] = None
     """Frame to map in. Default: map, else odom, or what stands highest."""
 
     def choice(self) -> Choice:

@@ -1,5 +1,6 @@
 """The command about a robot that drives now: live."""
 
+import gc
 import os
 import signal
 import sys
@@ -91,7 +92,7 @@ class Live:
             network = Network(domain, interface, choice, self.map_topic, self.local_map_topic)
             _say(f"domain {domain}, {self._where(interface, network)}; {self.map_topic}, {self.local_map_topic}")
             saver = _Saver(self.out, self.save_every)
-            _map(mapping, network, saver, stop)
+            _map(mapping, network, saver, stop, interface or "the interfaces of CYCLONEDDS_URI")
             saver.last(mapping)
         print(f"{mapping.scans} scans, {mapping.readings} readings; map in {self.out}/map.png")
 
@@ -124,7 +125,7 @@ class Live:
         return f"interface {interface}{open_ports}{over}"
 
 
-def _map(mapping: "Mapping", network: "Network", saver: "_Saver", stop: list[int]) -> None:
+def _map(mapping: "Mapping", network: "Network", saver: "_Saver", stop: list[int], where: str) -> None:
     status_due, discover_due, told = time.monotonic() + STATUS_S, 0.0, ""
     while not stop:
         network.wait(0.0 if mapping.busy else WAIT_S)
@@ -142,6 +143,8 @@ def _map(mapping: "Mapping", network: "Network", saver: "_Saver", stop: list[int
         if now >= status_due:
             status_due = now + STATUS_S
             status = mapping.status() + "".join(f"; {n} x {reason}" for reason, n in network.refused.most_common(3))
+            if not network.ranges:
+                status = f"no topic of sensor_msgs/Range on {where} (--interface, --domain, --topics choose others)"
             if status != told:
                 _say(status)
             told = status
@@ -167,6 +170,8 @@ class _Saver:
             self._due = now + self._every
             snapshot = mapping.snapshot()
             if snapshot is not None and mapping.scans > self._scans:
+                if not self._scans:
+                    gc.freeze()  # what is there by now stays: _save is not to go through it each time
                 self._scans = mapping.scans
                 self._thread = Thread(target=self._save, args=(snapshot,))
                 self._thread.start()
@@ -176,6 +181,8 @@ class _Saver:
             _write(self._folder, snapshot)
         except EchogridError as error:
             _say(f"not saved: {error}")
+        # A figure is a circle of objects that hold arrays: left to itself Python would find it many maps later.
+        gc.collect()
 
     def last(self, mapping: "Mapping") -> None:
         """Save the finished map."""

@@ -146,7 +146,8 @@ class Map:
         print_notes(log)
         rows, cols = grid.shape
         size = f"{cols * grid.resolution:.1f} x {rows * grid.resolution:.1f} m"
-        print(f"{log.name}: {count} scans of {robot.name} in {seconds:.1f} s; map of {size} in {self.out}/map.png")
+        also = ", map.html" if self.view else ""
+        print(f"{log.name}: {count} scans of {robot.name} in {seconds:.1f} s; map of {size} in {self.out}/map.png{also}")
         if self.rerun:
             self._show()
 

@@ -256,6 +256,9 @@ class Survey:
         fixed = self.choice.fixed.lstrip("/") if self.choice.fixed else fixed_of(self.transforms, base)
         if fixed is None or self.transforms.known(fixed, base) is None:
             raise self._no_pose(base, fixed)
+        if base in self.transforms.line(fixed):
+            above = _few(self.transforms.line(base)[1:])
+            raise InputError(self.name, f"{fixed} to map in, which moves with {base}", f"--fixed-frame with {above}")
         self._one_pose(base, fixed)
         notes: dict[str, int] = {}
         if self.robot is None:

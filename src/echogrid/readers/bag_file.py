@@ -1,5 +1,6 @@
 """Bags of ROS 1 and ROS 2 as files: opening them, decoding messages of the types that are needed, finding damage."""
 
+import os
 from collections.abc import Callable, Collection, Generator, Iterator
 from contextlib import contextmanager
 from operator import itemgetter
@@ -7,14 +8,14 @@ from pathlib import Path
 from struct import Struct
 from typing import Any, NamedTuple
 
-from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.interfaces import Connection, MessageDefinitionFormat, Nodetype
 from rosbags.rosbag1 import Reader, ReaderError
 from rosbags.rosbag2 import Reader as Reader2
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from echogrid.errors import EchogridError, InputError
-from echogrid.messages import RANGE, TF, TF_OLD, RangeSaid
+from echogrid.messages import CLOUD, CLOUD2, ODOMETRY, RANGE, SONAR_ARRAY, TF, TF_OLD, RangeSaid
 from echogrid.readers.lines import printable
 
 MAGIC = {b"#ROSBAG V": ".bag", b"\x89MCAP0\r\n": ".mcap", b"SQLite format 3\0": ".db3"}
@@ -61,13 +62,51 @@ def _range_of_cdr(data: bytes, _: str) -> RangeSaid:
     return RangeSaid(sec + nanosec * 1e-9, str(data[16 : end - 1], "utf-8"), *numbers)
 
 
+_HEADER = ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id")
+_PLACE = ("x", "y", "z")
+_TRANSFORM = (
+    *_HEADER,
+    "child_frame_id",
+    *(f"transform.translation.{axis}" for axis in _PLACE),
+    *(f"transform.rotation.{axis}" for axis in (*_PLACE, "w")),
+)
+_FIELDS = {
+    RANGE: (*_HEADER, "field_of_view", "min_range", "max_range", "range"),
+    SONAR_ARRAY: (*_HEADER, "ranges[]"),
+    CLOUD: (*_HEADER, "points[].x", "points[].y"),
+    CLOUD2: (
+        *(*_HEADER, "height", "width", "fields[].name", "fields[].offset", "fields[].datatype"),
+        *("is_bigendian", "point_step", "data[]"),
+    ),
+    TF: tuple(f"transforms[].{field}" for field in _TRANSFORM),
+    TF_OLD: tuple(f"transforms[].{field}" for field in _TRANSFORM),
+    ODOMETRY: (
+        *(*_HEADER, "child_frame_id"),
+        *(f"pose.pose.position.{axis}" for axis in _PLACE),
+        *(f"pose.pose.orientation.{axis}" for axis in (*_PLACE, "w")),
+    ),
+}
+"""Fields that are read of each type; a bag brings its own definitions, which may be damaged or of another time."""
+
+_TEXTS = ("frame_id", "child_frame_id", "name")
+"""Last parts of those fields that are texts; all others are numbers."""
+
+_MENDS = {
+    ".bag": "; rosbag reindex may mend it",
+    ".mcap": "; mcap recover may mend it",
+    ".db3": "; .recover of sqlite3 may mend it",
+}
+"""What helps a bag that is cut off, by the end of its name."""
+
 _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
 """Definition of both TFMessages, for bags that lack their own."""
 
 
 def recognises(path: Path) -> bool:
-    """Whether there is a bag: a file that begins like one, or a folder with the metadata or the files of one."""
-    return (path / _METADATA).is_file() or bool(_files(path)) if path.is_dir() else _ending(path) is not None
+    """Whether there is a bag: a file that begins or ends like one, or a folder with the metadata or files of one."""
+    if os.path.isdir(path):
+        return os.path.isfile(path / _METADATA) or bool(_files(path))
+    return _ending(path) is not None or (path.suffix in MAGIC.values() and os.path.isfile(path))
 
 
 def _files(folder: Path) -> list[Path]:
@@ -82,7 +121,7 @@ def _ending(path: Path) -> str | None:
     try:
         with path.open("rb") as file:
             head = file.read(16)
-    except OSError:
+    except (OSError, ValueError):  # a name that cannot be is told by whoever takes it for a text
         return None
     return next((ending for magic, ending in MAGIC.items() if head.startswith(magic)), None)
 
@@ -121,10 +160,15 @@ class BagFile:
         if ending and path.suffix != ending:
             found = f"a bag that begins like {ending} and ends in {path.suffix or 'nothing'}"
             raise InputError(self.name, found, f"{ending} at the end of its name")
+        files = _files(path) if path.is_dir() else [path]
         if path.is_dir() and not (path / _METADATA).is_file():
-            files = ", ".join(printable(each) for each in _files(path)[:6])
-            raise InputError(self.name, f"a folder without {_METADATA}", f"one, or a file alone: {files}")
+            names = ", ".join(printable(each) for each in files[:6])
+            raise InputError(self.name, f"a folder without {_METADATA}", f"one, or a file alone: {names}")
+        if path.is_file() and ending is None:
+            found = "a file that does not begin like a bag" if path.stat().st_size else "an empty file"
+            raise InputError(self.name, found, f"a {path.suffix} file as it was recorded")
         self._first = ending == ".bag"
+        self._mend = next((_MENDS[each.suffix] for each in files if each.suffix in _MENDS), "")
         with self._damage():
             self._reader = _StreamedBag(path) if self._first else Reader2(path)
             self._reader.open()
@@ -142,13 +186,15 @@ class BagFile:
         # The libraries below let out errors of many kinds for files that are cut off or overwritten.
         try:
             yield
-        except (EchogridError, MemoryError, PermissionError):
+        except (EchogridError, PermissionError):
             raise
         except Exception as error:
-            said = " ".join(str(error).split())[:120] or type(error).__name__
-            cut = "index" in said or "Truncated" in said or "magic" in said
-            mend = "; rosbag reindex or mcap recover may mend it" if cut else ""
-            raise InputError(self.name, f"a bag that is cut off or damaged ({said})", f"a whole one{mend}") from None
+            said = " ".join(str(error).replace(f" {self.name}", "").split())[:120] or type(error).__name__
+            if isinstance(error, MemoryError):  # a length that cannot be true
+                said = "a record too long for the memory"
+            raise InputError(
+                self.name, f"a bag that is cut off or damaged ({said})", f"a whole one{self._mend}"
+            ) from None
 
     def topics(self) -> list[Topic]:
         """All topics, by their names."""
@@ -205,8 +251,29 @@ class BagFile:
                         text = part.split("\n", 1)[1] if part.startswith("IDL: ") else part
                         if text.strip():
                             store.register(get_types_from_idl(text))
+            missing = [field for field in _FIELDS.get(kind, ()) if not _has(store, kind, field)]
+            if missing:
+                raise InputError(self.name, f"a definition of {kind} without {missing[0]}", "that of ROS")
             self._stores[kind] = store
         return self._stores[kind]
+
+
+def _has(store: Typestore, kind: str, field: str) -> bool:
+    """Whether a type has a field, of the kind that is needed."""
+    for name in field.split("."):
+        if kind not in store.fielddefs:
+            return False
+        node: Any = dict(store.fielddefs[kind][1]).get(name.removesuffix("[]"))
+        if node is None:
+            return False
+        many = node[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE)
+        if many is not name.endswith("[]"):
+            return False
+        form, inner = node[1][0] if many else node
+        kind = inner if form == Nodetype.NAME else inner[0]
+    if field.split(".")[-1] in _TEXTS:
+        return kind == "string"
+    return kind.rstrip("0123456789") in ("int", "uint", "float", "bool")
 
 
 class _StreamedBag(Reader):

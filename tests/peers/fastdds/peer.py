@@ -3,6 +3,7 @@
 All of it runs in a network namespace of its own in which there is nothing but loopback.
 """
 
+import fcntl
 import shutil
 import subprocess
 from collections.abc import Iterable, Iterator, Sequence
@@ -31,11 +32,21 @@ def missing() -> str | None:
     return None
 
 
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Have a file to oneself among several processes."""
+    with open(path, "w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
 def build() -> Path:
     """The robot, built if it is older than its sources."""
     newest = max(path.stat().st_mtime for path in SOURCES)
-    if not PROGRAM.exists() or PROGRAM.stat().st_mtime < newest:
-        subprocess.run([HERE / "build.sh"], check=True, timeout=300)
+    PROGRAM.parent.mkdir(parents=True, exist_ok=True)
+    with locked(PROGRAM.with_suffix(".lock")):
+        if not PROGRAM.exists() or PROGRAM.stat().st_mtime < newest:
+            subprocess.run([HERE / "build.sh"], check=True, timeout=300)
     return PROGRAM
 
 

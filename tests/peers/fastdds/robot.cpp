@@ -1,7 +1,7 @@
 // A robot on Fast DDS: publishes what it reads from stdin, a line a message, and writes the maps that it hears to
-// stdout. It knows nothing of echogrid but the ROS messages. It uses no interface but loopback.
+// stdout. It knows nothing of echogrid but the ROS messages. It uses one interface alone, loopback by default.
 //
-//   robot DOMAIN [reliable] [variance]
+//   robot DOMAIN [reliable] [variance] [on=ADDRESS]
 //
 //   tf STAMP PARENT CHILD X Y Z QX QY QZ QW          on /tf, reliable and volatile, as robot_state_publisher has it
 //   static STAMP PARENT CHILD X Y Z QX QY QZ QW      on /tf_static, reliable and transient local
@@ -104,10 +104,10 @@ private:
 
 class Robot {
 public:
-    Robot(int domain, bool reliable, bool variance) : reliable_(reliable), variance_(variance) {
+    Robot(int domain, bool reliable, bool variance, const std::string& address) : reliable_(reliable), variance_(variance) {
         DomainParticipantQos qos;
         auto udp = std::make_shared<UDPv4TransportDescriptor>();
-        udp->interfaceWhiteList.push_back("127.0.0.1");
+        udp->interfaceWhiteList.push_back(address);
         qos.transport().use_builtin_transports = false;
         qos.transport().user_transports.push_back(udp);
         participant_ = DomainParticipantFactory::get_instance()->create_participant(domain, qos);
@@ -293,16 +293,19 @@ private:
 
 int main(int argc, char** argv) {
     if (argc < 2) {
-        std::fprintf(stderr, "robot: found no domain, expected: robot DOMAIN [reliable] [variance]\n");
+        std::fprintf(stderr, "robot: found no domain, expected: robot DOMAIN [reliable] [variance] [on=ADDRESS]\n");
         return 2;
     }
     bool reliable = false, variance = false;
+    std::string address = "127.0.0.1";
     for (int i = 2; i < argc; ++i) {
-        reliable = reliable || std::string(argv[i]) == "reliable";
-        variance = variance || std::string(argv[i]) == "variance";
+        const std::string word = argv[i];
+        reliable = reliable || word == "reliable";
+        variance = variance || word == "variance";
+        address = word.rfind("on=", 0) == 0 ? word.substr(3) : address;
     }
     try {
-        Robot(std::stoi(argv[1]), reliable, variance).play(std::cin);
+        Robot(std::stoi(argv[1]), reliable, variance, address).play(std::cin);
     } catch (const std::exception& error) {
         std::fprintf(stderr, "robot: %s\n", error.what());
         return 2;

@@ -1,7 +1,7 @@
 """Writes bags of ROS 1 with Debian's rosbag; run by Debian's Python, which has the packages.
 
 Reads {"messages": [[topic, ns, type, content]], "bags": {path: options}} as JSON from standard input; ``--check``
-only says by its exit status whether all packages are there. tests/bags.py says what the messages look like.
+only says by its exit status whether all packages are there. tests/bag_writers.py says what the messages look like.
 """
 
 import json

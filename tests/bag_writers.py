@@ -192,6 +192,8 @@ def _field(store: Typestore, node: Any, value: Any) -> Any:
     if form == Nodetype.BASE:
         return value if value is not None else "" if inner[0] == "string" else 0
     (part, what), length = inner
+    if what[0] == "string":
+        return list(value or ())
     if part == Nodetype.NAME:
         return [built(store, what, each) for each in value or ()]
     if what[0] == "uint8":
