@@ -1,11 +1,11 @@
-"""Runs in a network namespace: hears a domain of ROS 2 for some seconds, and says as JSON what came.
+"""Runs in a network namespace: hears a domain of ROS 2 until its stdin ends, and says as JSON what came.
 
-listen.py DOMAIN INTERFACE SECONDS
+listen.py DOMAIN INTERFACE
 """
 
 import json
 import sys
-import time
+from threading import Thread
 
 from echogrid.dds import Network
 from echogrid.messages import Choice
@@ -13,8 +13,9 @@ from echogrid.messages import Choice
 network = Network(int(sys.argv[1]), sys.argv[2], Choice(), "/map", "/local_map")
 print("ready", flush=True)
 heard = []
-end = time.monotonic() + float(sys.argv[3])
-while time.monotonic() < end:
+waiting = Thread(target=sys.stdin.read)
+waiting.start()
+while waiting.is_alive():
     network.wait(0.05)
     network.discover()
     for _, topic, message in network.take():

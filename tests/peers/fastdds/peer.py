@@ -125,12 +125,12 @@ def pose_text(x: float, y: float, theta: float) -> str:
     return f"{x:.17g} {y:.17g} 0 0 0 {np.sin(theta / 2):.17g} {np.cos(theta / 2):.17g}"
 
 
-def opening(mounts: np.ndarray, base: str = "base_link") -> list[str]:
-    """Lines that make the writers and wait until somebody listens: /tf_static, /tf, and a topic a sonar."""
+def opening(mounts: np.ndarray, listeners: int = 1, base: str = "base_link") -> list[str]:
+    """Lines that make the writers and wait until they are listened to: /tf_static, /tf, and a topic a sonar."""
     lines = [f"static 0.0 {base} sonar_{i} {pose_text(*mount)}" for i, mount in enumerate(mounts)]
     lines.append(f"tf {stamp_text(START_S - 1)} odom {base} {pose_text(0, 0, 0)}")
     first = [f"range sonar/s{i} {stamp_text(START_S - 1)} sonar_{i} 0.4 0.15 5 nan" for i in range(len(mounts))]
-    return [*lines, *first, "matched"]
+    return [*lines, *first, f"matched {listeners}"]
 
 
 def frame_lines(

@@ -8,7 +8,7 @@
 //   odom STAMP FRAME CHILD X Y Z QX QY QZ QW         on /odom
 //   range TOPIC STAMP FRAME FOV MIN MAX RANGE        best effort and volatile, or reliable
 //   text TOPIC TEXT                                  a message of another type
-//   matched                                          waits until all topics so far have a subscriber
+//   matched N                                        waits until all topics so far have N subscribers
 //   at SECONDS                                       waits until so long after the first "at"
 //
 // Stamps are written SEC.NANOSECONDS. Each map is a line: "map" or "local", stamp, frame, resolution, columns, rows,
@@ -140,7 +140,9 @@ public:
             } else if (what == "text") {
                 text(words);
             } else if (what == "matched") {
-                matched();
+                int count = 1;
+                words >> count;
+                matched(count);
             } else if (what == "at") {
                 double seconds = 0;
                 words >> seconds;
@@ -195,13 +197,13 @@ private:
         }
     }
 
-    void matched() {
+    void matched(int count) {
         for (const auto& each : writers_) {
             PublicationMatchedStatus status;
             do {
                 std::this_thread::sleep_for(std::chrono::milliseconds(10));
                 each.second->get_publication_matched_status(status);
-            } while (status.current_count < 1);
+            } while (status.current_count < count);
         }
         // The readers learn of the match a little later than the writers.
         std::this_thread::sleep_for(std::chrono::milliseconds(300));
