@@ -13,7 +13,8 @@ PACKAGE = Path(echogrid.__file__).parent
 ORDER = [
     *("errors", "geometry", "regions", "files", "robot", "world", "acoustics", "rooms", "log"),
     *("transforms", "scans", "messages"),
-    *("readers.lines", "readers.csv_log", "readers.carmen", "readers.bag_file", "readers.bag", "readers"),
+    *("readers.lines", "readers.csv_log", "readers.carmen", "readers.bag_file", "readers.bag_survey"),
+    *("readers.bag", "readers"),
     *("grid", "metrics", "drive", "echo", "simulate", "memory", "interpret", "set_network", "beam"),
     *("classical", "calculi", "em", "models", "mapper", "mapping"),
     *("examples", "lessons", "train", "set_training"),
