@@ -24,7 +24,7 @@ from echogrid.log import Frame
 from echogrid.simulate import Simulator
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from peers.fastdds import peer  # ty: ignore[unresolved-import]
+from peers.fastdds import peer  # ty: ignore[import-not-found]
 
 RATE_HZ, TARGET_S = 10.0, 0.020
 START_UP_S = 15.0

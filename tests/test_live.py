@@ -28,6 +28,7 @@ class Recorder(Mapper):
     def __init__(self, robot, network, resolution=None, half_life=None):
         self.robot, self.half_life, self.resolution = robot, half_life, resolution or 0.04
         self.frames = []
+        self.cells = np.zeros((3, 4), dtype=np.float32)
 
     def prepare(self, batch):
         return lambda: cast(Any, None)
@@ -36,8 +37,7 @@ class Recorder(Mapper):
         self.frames += frames
 
     def grid(self):
-        cells = np.zeros((3, 4), dtype=np.float32)
-        return Grid(cells, cells == 0, self.resolution, (0.0, 0.0))
+        return Grid(self.cells, self.cells == 0, self.resolution, (0.0, 0.0))
 
     def around(self, x, y, side_m):
         cells = np.full((2, 2), -3, dtype=np.float32)
@@ -297,6 +297,48 @@ def test_a_sonar_without_a_place_is_left_out_and_joins_when_it_has_one(live, mon
     assert drive.notices[-1] == "new: sonar_3"
     assert drive.live._mapper.robot.sonars == 4
     np.testing.assert_array_equal(drive.frames[-1].ranges, [1.0, 2.0, inf, 0.5])
+
+
+def test_a_frame_to_map_in_that_comes_late_is_told_of(drive):
+    drive.run(40)
+    drive.take(Heard.TF, "/tf", tf(transform(START_S + drive.time, "map", "odom", 5.0, 0.0, 0.0)))
+    drive.run(40)
+    assert drive.notices.count("there is map now; to map in it rather than in odom, start again") == 1
+    assert len(drive.frames) == 80
+    assert drive.pictures[-1].frame == "odom"
+
+
+def test_a_frame_that_is_put_in_between_later_is_followed(drive):
+    drive.run(40)
+    for _ in range(40):
+        stamp = START_S + drive.time
+        drive.take(Heard.TF, "/tf", tf(transform(stamp, "base_footprint", "base_link", 0.0, 0.0, 0.0)))
+        drive.take(Heard.TF, "/tf", tf(transform(stamp, "odom", "base_footprint", 0.5, 0.0, 0.0)))
+        drive.ranges([1.0] * 4)
+        drive.step()
+    assert len(drive.frames) >= 65
+    np.testing.assert_allclose(drive.frames[-1].pose, [0.5, 0, 0], atol=1e-9)
+
+
+def test_scans_that_wait_are_mapped_before_a_sonar_joins(live, monkeypatch):
+    joined = []
+    monkeypatch.setattr(
+        module, "_with_robot", lambda mapper, robot, network: joined.append(mapper) or Recorder(robot, network)
+    )
+    drive = Drive(live, MOUNTS[:3])
+    drive.mounts = MOUNTS
+    drive.run(40)
+    drive.take(Heard.STATIC, "/tf_static", tf(transform(0, "base_link", "sonar_3", *MOUNTS[3])))
+    for _ in range(60):  # so many at once that they have to wait
+        for _ in range(30):
+            drive.pose()
+            drive.ranges((1.0, 2.0, inf, 0.5))
+            drive.time = round(drive.time + 0.02, 6)
+        drive.step()
+    assert len(joined) == 1
+    assert all(len(frame.ranges) == 3 for frame in joined[0].frames)
+    assert all(len(frame.ranges) == 4 for frame in drive.frames)
+    assert len(joined[0].frames) + len(drive.frames) == live.scans
 
 
 def test_the_map_is_kept_when_a_sonar_joins():

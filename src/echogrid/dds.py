@@ -37,6 +37,7 @@ from cyclonedds.core import DDSException, InstanceState, Policy, Qos, ReadCondit
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct, make_idl_struct
 from cyclonedds.idl.types import array, float32, float64, int8, int32, sequence, uint8, uint32
+from cyclonedds.internal import DDS
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -51,6 +52,8 @@ MAX_MESSAGE_BYTES = 256 * 1024
 
 _MAX_SAMPLE_BYTES = 64 * 1024 * 1024
 """What Cyclone DDS takes or sends at most, a map among it."""
+
+_LOG_FATAL, _MULTICAST = 1, ' multicast="true"'
 
 _DEPTH = 4_000
 """Messages of a topic that wait here at most, while the network of the map is being compiled for instance."""
@@ -161,7 +164,7 @@ LOCAL_MAP_QOS = Qos(
 )
 """To send the local map; readers that ask for less match as well."""
 
-_FOUND_BY_TYPE: dict[str, tuple[Heard, type, int]] = {
+_FOUND_BY_TYPE: dict[str, tuple[Heard, Any, int]] = {
     "sensor_msgs::msg::dds_::Range_": (Heard.RANGE, Range, MAX_SONARS),
     "nav_msgs::msg::dds_::Odometry_": (Heard.ODOMETRY, Odometry, 16),
 }
@@ -190,22 +193,27 @@ def dds_topic(name: str) -> str:
 
 
 def configuration(interface: str) -> str:
-    """The configuration of Cyclone DDS (XML) that keeps to an interface; ``any``: all that can multicast.
+    """The configuration of Cyclone DDS (XML) that keeps to an interface; ``any``: all that are there.
 
     Raises:
         UsageError: no such interface.
     """
+    names = [name for _, name in socket.if_nameindex()]
     if interface == "any":
-        chosen = '<NetworkInterface autodetermine="true"/>'
+        # Whatever is up; its own programs are reached through any of them, and through loopback where it is alone.
+        chosen = [name for name in names if name != "lo"] or names
+    elif interface in names:
+        chosen = [interface]
     else:
-        names = [name for _, name in socket.if_nameindex()]
-        if interface not in names:
-            raise UsageError(f"live: found no interface {interface!r}, expected any or one of {', '.join(names)}")
+        raise UsageError(f"live: found no interface {interface!r}, expected any or one of {', '.join(names)}")
+    required = "false" if interface == "any" else "true"
+    listed = "".join(
         # Loopback can multicast, though its flags do not say so.
-        multicast = ' multicast="true"' if interface == "lo" else ""
-        chosen = f'<NetworkInterface name="{interface}"{multicast}/>'
+        f'<NetworkInterface name="{name}" presence_required="{required}"{_MULTICAST if name == "lo" else ""}/>'
+        for name in chosen
+    )
     return (
-        f'<CycloneDDS><Domain Id="any"><General><Interfaces>{chosen}</Interfaces></General>'
+        f'<CycloneDDS><Domain Id="any"><General><Interfaces>{listed}</Interfaces></General>'
         f"<Internal><MaxSampleSize>{_MAX_SAMPLE_BYTES}B</MaxSampleSize></Internal></Domain></CycloneDDS>"
     )
 
@@ -241,6 +249,9 @@ class Network:
             if interface is not None and interface != "any":
                 self.kept = _keep_to(interface, _sockets() - before)
             self._participant = DomainParticipant(domain)
+            if interface is not None:
+                # Each message of a stranger that Cyclone DDS cannot read would be a line on stderr.
+                DDS._dll_handle.dds_set_log_mask(_LOG_FATAL)
         except DDSException as error:
             found = f"DDS that does not start ({error})"
             raise UsageError(
@@ -256,16 +267,20 @@ class Network:
             for name, qos in zip(sent, (MAP_QOS, LOCAL_MAP_QOS), strict=True)
         )
 
-    def _listen(self, name: str, kind: type, qos: Qos, heard: Heard) -> None:
+    def _listen(self, name: str, kind: Any, qos: Qos, heard: Heard) -> None:
         if (name, kind) not in self._readers:
             reader = DataReader(self._participant, Topic(self._participant, name, kind), qos)
             condition = ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.NotRead)
             self._waitset.attach(condition)
             self._readers[name, kind] = _Reader(reader, condition, heard, name.removeprefix("rt"))
 
-    def topics(self, heard: Heard) -> list[str]:
-        """The topics of a kind that are listened to, as ROS 2 names them."""
+    def _topics(self, heard: Heard) -> list[str]:
         return sorted({reader.topic for reader in self._readers.values() if reader.heard is heard})
+
+    @property
+    def ranges(self) -> list[str]:
+        """The topics of ranges that are listened to, as ROS 2 names them."""
+        return self._topics(Heard.RANGE)
 
     def wait(self, seconds: float) -> None:
         """Return when something has come, or after some time."""
@@ -302,11 +317,11 @@ class Network:
             if endpoint.type_name in _FOUND_BY_TYPE and endpoint.topic_name:
                 self._follow(endpoint.topic_name, *_FOUND_BY_TYPE[endpoint.type_name], endpoint.type_id is not None)
 
-    def _follow(self, name: str, heard: Heard, kind: type, most: int, typed: bool) -> None:
+    def _follow(self, name: str, heard: Heard, kind: Any, most: int, typed: bool) -> None:
         topic = name.removeprefix("rt")
         if name == topic or not self._choice.takes(topic):
             return
-        if len(self.topics(heard)) >= most and topic not in self.topics(heard):
+        if len(self._topics(heard)) >= most and topic not in self._topics(heard):
             self.refused[f"topics of {heard.value} beyond the first {most}"] += 1
             return
         try:
@@ -345,13 +360,16 @@ def _keep_to(interface: str, descriptors: set[int]) -> bool:
     if sys.platform != "linux" or not descriptors:
         return False
     for descriptor in descriptors:
-        with socket.socket(fileno=os.dup(descriptor)) as each:
-            if each.family not in (socket.AF_INET, socket.AF_INET6):
-                continue
-            if interface == "lo":
-                each.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
-            else:
-                _only_from(each, [socket.if_nametoindex(name) for name in ("lo", interface)])
+        try:
+            with socket.socket(fileno=os.dup(descriptor)) as each:
+                if each.family not in (socket.AF_INET, socket.AF_INET6):
+                    continue
+                if interface == "lo":
+                    each.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
+                else:
+                    _only_from(each, [socket.if_nametoindex(name) for name in ("lo", interface)])
+        except OSError:  # a kernel before 5.7 lets only root do so
+            return False
     return True
 
 

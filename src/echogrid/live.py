@@ -19,7 +19,7 @@ from numpy import ndarray
 
 from echogrid.grid import Grid
 from echogrid.log import Frame
-from echogrid.mapfile import occupancy
+from echogrid.map_server import occupancy
 from echogrid.mapper import Mapper
 from echogrid.messages import Choice, seconds
 from echogrid.robot import MAX_SONARS, Robot, robot_yaml
@@ -27,8 +27,8 @@ from echogrid.scans import Scans, base_of, beam_width, fixed_of, mount, reading,
 from echogrid.set_network import SetNetwork
 from echogrid.transforms import Transforms
 
-SETTLE_S = 2.0
-"""The array is complete when no further sonar was heard for so long, by the readings' stamps."""
+SETTLE_S, LONGEST_S = 2.0, 10.0
+"""Mapping begins when no further sonar was heard for so long, and after so long anyhow, by the readings' stamps."""
 
 REBUILD_S = 10.0
 """Time between two changes of the array, s."""
@@ -56,6 +56,9 @@ GONE_S = 2.0
 
 MAX_CELLS = 16_000_000
 """A map of more cells is refused while live: 160 x 160 m in cells of 4 cm, 0.4 GB."""
+
+_REACH_M = 8.0
+"""How much wider than the drive a map is at most."""
 
 MAX_WAITING = 50_000
 """Readings kept until the array is known."""
@@ -217,14 +220,15 @@ class Live:
         self._waiting: deque[tuple[str, float, float]] = deque(maxlen=MAX_WAITING)
         self._array: _Array | None = None
         self._mapper: Mapper | None = None
-        self._newest_reading = -inf
-        self._grew = -inf
+        self._newest_reading = self._grew = -inf
+        self._first = inf
         self._low, self._high = np.full(2, inf), np.full(2, -inf)
         self._path = Path()
         self._ready: deque[Frame] = deque()
         self._last: Frame | None = None
         self._changed = False
-        self._map_due = self._check_due = self._rebuild_due = -inf
+        self._map_due = self._check_due = self._rebuilt = -inf
+        self._rebuild_due = inf
         self._last_range = -inf
         self._quiet: set[str] = set()
         self._silent: set[str] = set()
@@ -313,7 +317,7 @@ class Live:
         if self._clock.admit(stamp):
             self._leap(stamp)
         self._last_range = now
-        self._newest_reading = max(self._newest_reading, stamp)
+        self._newest_reading, self._first = max(self._newest_reading, stamp), min(self._first, stamp)
         if frame not in self._sonars:
             if len(self._sonars) >= MAX_SONARS:
                 raise _Refusal(f"a reading of sonar number {MAX_SONARS + 1}")
@@ -332,7 +336,7 @@ class Live:
         self._refused["a clock that jumped"] += 1
         self._transforms, self._moves = self._transforms.still(), 0
         self._waiting.clear()
-        self._newest_reading = self._grew = stamp
+        self._newest_reading = self._grew = self._first = stamp
         if self._array is not None:
             self._refused += self._array.scans.dropped
             self._array.begin(self._transforms)
@@ -355,8 +359,10 @@ class Live:
             if self._array is not None:
                 self._watch(now)
                 self._admit(now)
-            elif self._newest_reading - self._grew >= SETTLE_S:
+            elif self._newest_reading - self._grew >= SETTLE_S or self._newest_reading - self._first >= LONGEST_S:
                 self._settle()
+            if len(self._sonars) >= MAX_SONARS:  # made-up names must not keep others out
+                self._sonars = {name: each for name, each in self._sonars.items() if name in self._transforms}
         if self._array is None or self._mapper is None:
             return []
         known = self._transforms.known(self._array.fixed, self._array.base)
@@ -436,9 +442,9 @@ class Live:
         """The frame to map in and the robot's, as soon as both are known."""
         bases = Counter(base_of(self._transforms, frame) for frame in self._sonars if frame in self._transforms)
         for base, _ in bases.most_common():
-            base = self.settings.choice.base or base
-            fixed = self.settings.choice.fixed or fixed_of(self._transforms, base)
-            if fixed is not None and fixed != base and self._transforms.known(fixed, base) is not None:
+            base = (self.settings.choice.base or base).lstrip("/")
+            fixed = (self.settings.choice.fixed or fixed_of(self._transforms, base) or "").lstrip("/")
+            if fixed and fixed != base and self._transforms.known(fixed, base) is not None:
                 return fixed, base
         return None
 
@@ -467,6 +473,8 @@ class Live:
         found = {}
         for name in names:
             if name != base and self._transforms.moves(base, name):
+                if self._transforms.known(base, name) is not None:
+                    self._say_once(f"sonar {name}: found a place on the robot that moves, so it is left out")
                 continue
             place = mount(self._transforms, base, name, self._newest_reading)
             if isinstance(place, str):
@@ -483,12 +491,19 @@ class Live:
     def _admit(self, now: float) -> None:
         """Take sonars into the array that were first heard, or whose place became known, while mapping."""
         array = self._array
-        if array is None or self._mapper is None or now < self._rebuild_due:
+        if array is None or self._mapper is None:
             return
         new = self._mounts([name for name in self._sonars if name not in array.numbers], array.base)
-        if not new or self._newest_reading - self._grew < SETTLE_S:
+        if not new:
+            self._rebuild_due = inf
             return
-        self._rebuild_due = now + REBUILD_S
+        if self._rebuild_due == inf:  # others may come with it
+            self._rebuild_due = max(now + SETTLE_S, self._rebuilt + REBUILD_S)
+        if now < self._rebuild_due:
+            return
+        self._rebuild_due, self._rebuilt = inf, now
+        self._gather(REACH_S)
+        self._map_some(len(self._ready))  # they are scans of the array as it was
         self._refused += array.scans.dropped
         mounts = array.mounts | new
         self._array = _Array(array.fixed, array.base, mounts, self._robot(mounts), self._transforms)
@@ -500,6 +515,10 @@ class Live:
         """Tell of sonars that went silent, and of those that came back."""
         if self._array is None:
             return
+        self._array.look_up(self._transforms)
+        fixed = fixed_of(self._transforms, self._array.base)
+        if fixed not in (None, self._array.fixed) and self.settings.choice.fixed is None:
+            self._say_once(f"there is {fixed} now; to map in it rather than in {self._array.fixed}, start again")
         names = list(self._array.numbers)
         gone = now - self._last_range > GONE_S
         quiet = set(names) if gone else {names[number] for number in self._array.scans.silent()}
@@ -555,10 +574,6 @@ class Live:
         return Picture(occupancy(grid), grid.resolution, grid.origin, self._last.stamp, self._array.fixed, local)
 
 
-_REACH_M = 8.0
-"""How much wider than the drive a map is at most."""
-
-
 class _Array:
     """The sonars that map, and their scans."""
 
@@ -572,9 +587,14 @@ class _Array:
     ):
         self.fixed, self.base, self.mounts, self.robot = fixed, base, mounts, robot
         self.numbers = {name: number for number, name in enumerate(mounts)}
-        self.line = {name for frame in (base, fixed, *mounts) for name in transforms.line(frame)}
+        self.line: set[str] = set()
         """Frames whose transforms matter."""
+        self.look_up(transforms)
         self.begin(transforms)
+
+    def look_up(self, transforms: Transforms) -> None:
+        """See which frames the robot hangs on: a localiser that starts late puts one above the others."""
+        self.line = {name for frame in (self.base, self.fixed, *self.mounts) for name in transforms.line(frame)}
 
     def begin(self, transforms: Transforms) -> None:
         """Wait for a new scan."""

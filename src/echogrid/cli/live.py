@@ -6,7 +6,7 @@ import signal
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -203,7 +203,7 @@ def _write(folder: Path, snapshot: "Snapshot") -> None:
 
 
 @contextmanager
-def stopped() -> Iterator[list[int]]:
+def stopped() -> Generator[list[int]]:
     """A list that is empty until a signal to stop comes; a second one stops at once."""
     signals: list[int] = []
 
