@@ -174,7 +174,42 @@ def machines():
             for where, end, host in (((), name, 1), (there, "cable", 2)):
                 here.output(*where, "ip", "addr", "add", f"10.1.{number}.{host}/24", "dev", end)
                 here.output(*where, "ip", "link", "set", end, "up")
+            # DDS passes over an interface on which the kernel has not yet noticed the other end.
+            for where, end in (((), name), (there, "cable")):
+                wait_until(lambda where=where, end=end: "state UP" in here.output(*where, "ip", "link", "show", end))
         yield here, behind
+
+
+def wait_until(done, seconds=10):
+    limit = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < limit
+        time.sleep(0.02)
+
+
+@needs_peer
+@pytest.mark.parametrize(("interface", "expected"), [("named", {"/named"}), ("any", {"/named", "/other"})])
+def test_robots_on_other_machines_are_heard_through_the_interface_that_is_named(
+    machines, robot_program, interface, expected
+):
+    here, behind = machines
+    listener = start(here, sys.executable, LISTEN, 7, interface, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert listener.stdout.readline() == "ready\n"
+    robots = {}
+    for number, (name, there) in enumerate(behind.items(), 1):
+        # Who is not to be heard does not wait to be.
+        lines = [f"range {name} 5.0 s 0.4 0.1 4 nan", *(["matched 1"] if f"/{name}" in expected else [])]
+        lines += [f"range {name} {5 + i}.5 s 0.4 0.1 4 1.25" for i in range(5)]
+        words = (robot_program, 7, f"on=10.1.{number}.2")
+        robots[name] = start(here, *there, *words, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+        robots[name].stdin.write("\n".join([*lines, "at 0", "at 1.5"]) + "\n")
+        robots[name].stdin.close()
+    for robot in robots.values():
+        assert robot.wait(30) == 0
+    said, _ = listener.communicate(timeout=20)
+    said = json.loads(said)
+    assert {topic for topic, _, value in said["heard"] if value == 1.25} == expected
+    assert said["kept"] == (interface == "named")
 
 
 @needs_peer

@@ -27,8 +27,11 @@ class Recorder(Mapper):
 
     def __init__(self, robot, network, resolution=None, half_life=None):
         self.robot, self.half_life, self.resolution = robot, half_life, resolution or 0.04
-        self.frames = []
+        self.frames, self.before = [], []
         self.cells = np.zeros((3, 4), dtype=np.float32)
+
+    def equip(self, robot):
+        self.robot, self.before, self.frames = robot, self.before + self.frames, []
 
     def prepare(self, batch):
         return lambda: cast(Any, None)
@@ -285,8 +288,7 @@ def test_what_is_missing_is_said(live):
     assert live.status() == "30 scans of 4 sonars in odom; not taken: 1 x " + REPEATED
 
 
-def test_a_sonar_without_a_place_is_left_out_and_joins_when_it_has_one(live, monkeypatch):
-    monkeypatch.setattr(module, "_with_robot", lambda mapper, robot, network: Recorder(robot, network))
+def test_a_sonar_without_a_place_is_left_out_and_joins_when_it_has_one(live):
     drive = Drive(live, MOUNTS[:3])
     drive.mounts = MOUNTS
     drive.run(60)
@@ -320,11 +322,7 @@ def test_a_frame_that_is_put_in_between_later_is_followed(drive):
     np.testing.assert_allclose(drive.frames[-1].pose, [0.5, 0, 0], atol=1e-9)
 
 
-def test_scans_that_wait_are_mapped_before_a_sonar_joins(live, monkeypatch):
-    joined = []
-    monkeypatch.setattr(
-        module, "_with_robot", lambda mapper, robot, network: joined.append(mapper) or Recorder(robot, network)
-    )
+def test_scans_that_wait_are_mapped_before_a_sonar_joins(live):
     drive = Drive(live, MOUNTS[:3])
     drive.mounts = MOUNTS
     drive.run(40)
@@ -335,10 +333,10 @@ def test_scans_that_wait_are_mapped_before_a_sonar_joins(live, monkeypatch):
             drive.ranges((1.0, 2.0, inf, 0.5))
             drive.time = round(drive.time + 0.02, 6)
         drive.step()
-    assert len(joined) == 1
-    assert all(len(frame.ranges) == 3 for frame in joined[0].frames)
+    before = drive.live._mapper.before
+    assert all(len(frame.ranges) == 3 for frame in before)
     assert all(len(frame.ranges) == 4 for frame in drive.frames)
-    assert len(joined[0].frames) + len(drive.frames) == live.scans
+    assert len(before) + len(drive.frames) == live.scans
 
 
 def test_the_map_is_kept_when_a_sonar_joins():
@@ -418,16 +416,6 @@ def test_what_waits_for_a_pose_is_bounded(live, monkeypatch):
     assert live._waiting.maxlen == module.MAX_WAITING
 
 
-def test_a_long_drive_has_a_short_path():
-    path = module.Path(most=100)
-    for i in range(10_000):
-        path.add(0.1 * i, 0.0)
-    points = path.points()
-    assert 40 <= len(points) <= 100
-    assert points[0, 0] == 0.0
-    assert points[-1, 0] > 950
-
-
 numbers = st.one_of(st.floats(width=32), st.floats(-3, 3), st.just(0.0))
 stamps = st.builds(
     lambda sec, nanosec: SimpleNamespace(sec=sec, nanosec=nanosec),
@@ -489,7 +477,6 @@ messages = st.one_of(
 def test_strangers_do_no_harm(mapping, strange):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "Mapper", Recorder)
-        patch.setattr(module, "_with_robot", lambda mapper, robot, network: Recorder(robot, network))
         drive = Drive(Live(NETWORK, Settings()))
         if mapping:
             drive.run(25)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from itertools import islice
-from math import hypot, inf, isfinite, nan
+from math import inf, isfinite, nan
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from jaxtyping import Float, Int8
 from numpy import ndarray
 
 from echogrid.grid import Grid
-from echogrid.log import Frame
+from echogrid.log import Frame, Track
 from echogrid.map_server import occupancy
 from echogrid.mapper import Mapper
 from echogrid.messages import Choice, seconds
@@ -174,28 +174,6 @@ class _Clock:
         return True
 
 
-@dataclass
-class Path:
-    """A drive of any length, kept to a bounded number of points."""
-
-    most: int = 4000
-    _points: list[tuple[float, float]] = field(default_factory=list)
-    _spacing: float = 0.02
-
-    def add(self, x: float, y: float) -> None:
-        """Go on to a point, m."""
-        if self._points and hypot(x - self._points[-1][0], y - self._points[-1][1]) < self._spacing:
-            return
-        self._points.append((x, y))
-        if len(self._points) > self.most:
-            self._points = self._points[::2]
-            self._spacing *= 2
-
-    def points(self) -> Float[ndarray, "n 2"]:
-        """The points, m."""
-        return np.array(self._points).reshape(-1, 2)
-
-
 class Live:
     """The map of a robot that drives now."""
 
@@ -223,7 +201,7 @@ class Live:
         self._newest_reading = self._grew = -inf
         self._first = inf
         self._low, self._high = np.full(2, inf), np.full(2, -inf)
-        self._path = Path()
+        self._path = Track()
         self._ready: deque[Frame] = deque()
         self._last: Frame | None = None
         self._changed = False
@@ -507,7 +485,7 @@ class Live:
         self._refused += array.scans.dropped
         mounts = array.mounts | new
         self._array = _Array(array.fixed, array.base, mounts, self._robot(mounts), self._transforms)
-        self._mapper = _with_robot(self._mapper, self._array.robot, self._network)
+        self._mapper.equip(self._array.robot)
         _compile(self._mapper, self._newest_reading)
         self._notices.append(f"new: {_listed(new)}")
 
@@ -551,7 +529,7 @@ class Live:
             # Always one scan, always with mounts: that is one program to compile, which takes seconds.
             mounts = self._mapper.robot.mounts if frame.mounts is None else frame.mounts
             self._mapper.add([replace(frame, mounts=mounts)])
-            self._path.add(float(frame.pose[0]), float(frame.pose[1]))
+            self._path.add(frame)
             self.scans += 1
         self._changed = True
         return True
@@ -599,14 +577,6 @@ class _Array:
     def begin(self, transforms: Transforms) -> None:
         """Wait for a new scan."""
         self.scans = Scans(self.robot, transforms, self.fixed, self.base)
-
-
-def _with_robot(mapper: Mapper, robot: Robot, network: SetNetwork) -> Mapper:
-    """The mapper of the same map for a robot that has got more sonars."""
-    new = Mapper(robot, network, mapper.resolution, mapper.half_life)
-    for name in ("_grown", "_epoch", "_summed_epoch", "_now"):
-        setattr(new, name, getattr(mapper, name))
-    return new
 
 
 def _compile(mapper: Mapper, stamp: float) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import batched
+from math import hypot
 
 import numpy as np
 from jaxtyping import Float
@@ -31,6 +32,30 @@ class Frame:
     mounts: Float[ndarray, "sonars 3"] | None = None
     """Where each sonar was when it fired, as seen from ``pose``: m, m, rad. None: all fired at the stamp, from
     the robot's own mounts."""
+
+
+class Track:
+    """A drive of any length, kept to a bounded number of points."""
+
+    _MOST, _SPACING_M = 4000, 0.02
+
+    def __init__(self) -> None:
+        self._points: list[tuple[float, float]] = []
+        self._spacing = self._SPACING_M
+
+    def add(self, frame: Frame) -> None:
+        """Go on to a frame's pose."""
+        x, y = float(frame.pose[0]), float(frame.pose[1])
+        if self._points and hypot(x - self._points[-1][0], y - self._points[-1][1]) < self._spacing:
+            return
+        self._points.append((x, y))
+        if len(self._points) > self._MOST:
+            self._points = self._points[::2]
+            self._spacing *= 2
+
+    def points(self) -> Float[ndarray, "n 2"]:
+        """x, y of the points, m, world."""
+        return np.array(self._points).reshape(-1, 2)
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,8 @@ def draw_map(path: Path, grid: Grid, path_world: Float[ndarray, "poses _"], titl
         # A title in a script that the font lacks is drawn as boxes; that is no reason to bother anyone.
         warnings.filterwarnings("ignore", "Glyph", UserWarning)
         figure.savefig(path, format="png")
+    # Its parts hold each other and the map: left to itself Python would find them many pictures later.
+    figure.clear()
 
 
 _MAP_INCHES, _KEY_INCHES, _TITLE_LENGTH = 8.0, 6.4, 72

@@ -26,6 +26,8 @@ KEEP_S = 60.0
 JUMP_S, JUMP_M, JUMP_RAD = 2.0, 0.3, 0.35
 """Over a gap longer than the first in which a frame moved by more than one of the others nothing is interpolated."""
 
+_SOON_S = 0.002
+
 _DEPTH = 64
 
 _FAR_M = 1e7
@@ -150,6 +152,8 @@ class _Edge:
                 return None
             if after == 1:
                 return poses[0]
+            if stamps[-1] - stamps[-2] < _SOON_S:
+                return poses[-1]  # so near to each other two samples tell no speed
             after -= 1  # what it did last it is taken to go on with
         start, end = stamps[after - 1], stamps[after]
         a, b = poses[after - 1], poses[after]

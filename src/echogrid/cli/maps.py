@@ -10,39 +10,15 @@ from pathlib import Path
 from typing import Annotated, Literal, Protocol
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from echogrid.cli.arguments import Ros, bar, open_log, print_notes
 from echogrid.errors import InputError, UsageError
 from echogrid.files import made, replacing
 from echogrid.grid import Grid
-from echogrid.log import Frame, describe
+from echogrid.log import Frame, Track, describe
 from echogrid.readers import bag, load_log
 from echogrid.robot import Robot, robot_yaml
-
-
-class _Path:
-    """The drive of a log of any length, kept to a bounded number of points for the picture."""
-
-    _MOST = 4000
-
-    def __init__(self) -> None:
-        self._points: list[tuple[float, float]] = []
-        self._spacing = 0.02
-
-    def add(self, frame: Frame) -> None:
-        x, y = float(frame.pose[0]), float(frame.pose[1])
-        if self._points and np.hypot(x - self._points[-1][0], y - self._points[-1][1]) < self._spacing:
-            return
-        self._points.append((x, y))
-        if len(self._points) > self._MOST:
-            self._points = self._points[::2]
-            self._spacing *= 2
-
-    def points(self) -> Float[ndarray, "n 2"]:
-        return np.array(self._points).reshape(-1, 2)
 
 
 class _Follower(Protocol):
@@ -108,7 +84,7 @@ class Map:
         log, robot, named = open_log(self.log, self.robot, self.ros.choice())
         model = sensor_model(self.interpreter)
         title = f"{Path(log.name).name}, {robot.name}, {model.name}"
-        path, count, grid = _Path(), 0, None
+        path, count, grid = Track(), 0, None
         followers: list[_Follower] = []
 
         def frames() -> Iterator[Frame]:
@@ -146,8 +122,8 @@ class Map:
         print_notes(log)
         rows, cols = grid.shape
         size = f"{cols * grid.resolution:.1f} x {rows * grid.resolution:.1f} m"
-        also = ", map.html" if self.view else ""
-        print(f"{log.name}: {count} scans of {robot.name} in {seconds:.1f} s; map of {size} in {self.out}/map.png{also}")
+        files = f"{self.out}/map.png{', map.html' if self.view else ''}"
+        print(f"{log.name}: {count} scans of {robot.name} in {seconds:.1f} s; map of {size} in {files}")
         if self.rerun:
             self._show()
 
