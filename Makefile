@@ -35,13 +35,13 @@ format: $(READY)  ## put the code into shape
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-bench: $(READY)  ## speed and memory (about 4 minutes)
+bench: $(READY)  ## speed and memory (about 12 minutes; benchmarks/live.py hour takes 8 more)
 	$(BIN)/python benchmarks/simulator.py
 	$(BIN)/python benchmarks/mapping.py
 	$(BIN)/python benchmarks/models.py
 	$(BIN)/python benchmarks/memory.py
 	$(BIN)/python benchmarks/bags.py
-	$(BIN)/python benchmarks/live.py
+	$(BIN)/python benchmarks/live.py latency
 
 study: $(READY)  ## score both networks and the cone on held-out rooms (about 10 minutes)
 	$(BIN)/python experiments/held_out.py --resolution 0.04 set-network network cone

@@ -332,6 +332,18 @@ POSES = {
 }
 
 
+POSES |= {
+    "odom by another name": (list(posed(FRAMES, "robot1_odom")), FRAMES),
+    "odometry of what hangs on base_footprint": (
+        [
+            *(odometry(time_of(frame), frame.pose) for frame in FRAMES),
+            tf(START_S, transform("base_footprint", "base_link", np.zeros(3), START_S), topic="/tf_static"),
+        ],
+        FRAMES,
+    ),
+}
+
+
 @pytest.mark.parametrize(("poses", "expected"), POSES.values(), ids=POSES)
 def test_the_pose_is_told_from_tf_and_odometry(tmp_path, poses, expected):
     store = get_typestore(Stores.ROS1_NOETIC)
@@ -341,6 +353,73 @@ def test_the_pose_is_told_from_tf_and_odometry(tmp_path, poses, expected):
     log = load_log(write(tmp_path / "drive.bag", said, "bag", store=store))
     assert_same_frames(log, expected)
     assert log.notes == {}
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_each_robot_has_its_own_transforms(put, number):
+    """As ROS 2's navigation has it: namespaced topics of tf, in which frames go by the same names."""
+    said = [
+        *own_tf("/r1", 0.0),
+        *own_tf("/r2", 50.0),
+        *ranged(FRAMES, "/r1/sonar/{}"),
+        *ranged(FRAMES, "/r2/sonar/{}"),
+    ]
+    said += [mounted()._replace(topic=f"/r{i}/tf_static") for i in (1, 2)]
+    expected = shifted(FRAMES, np.array([50.0 * (number - 1), 0.0, 0.0]))
+    assert_same_frames(load_log(put(said), choice=Choice((f"/r{number}/*",))), expected)
+
+
+LONG = sample(60)
+"""Twelve seconds: more than is surveyed."""
+
+
+def test_poses_and_places_may_come_after_the_sonars(put):
+    late = START_S + 8.0
+    for said in (
+        [mounted(), *posed(LONG[40:]), *ranged(LONG)],
+        [mounted(time=late), *posed(LONG), *ranged(LONG)],
+    ):
+        log = load_log(put(said))
+        found = list(log)
+        assert_same_frames(found, LONG[-len(found) :])
+        assert len(found) >= 20
+
+
+def test_what_changed_after_the_beginning_is_told(put):
+    turning = [
+        tf(time_of(f), transform("base_link", "sonar_3", (0.1, 0, max(0.0, f.stamp - 7)), time_of(f))) for f in LONG
+    ]
+    map_late = [tf(time_of(f), transform("map", "odom", SHIFT, time_of(f))) for f in LONG[45:]]
+    said = [*turning, *posed(LONG), *map_late, *ranged(LONG)]
+    others = [transform("base_link", f"sonar_{i}", m, START_S) for i, m in enumerate(B21.mounts) if i != 3]
+    log = load_log(put([tf(START_S, *others, topic="/tf_static"), *said]))
+    assert len(list(log)) == len(LONG)
+    assert any("mapped in odom; map came later, --fixed-frame map" in note for note in log.notes)
+    assert any(note.startswith("sonar_3 moved on the robot") for note in log.notes)
+
+
+def test_a_correction_that_comes_seldom_and_by_jumps_holds_until_the_next(put):
+    """As of AMCL or of markers on the wall."""
+    shifts = {0: np.zeros(3), 30: np.array([0.5, 0.0, 0.0])}
+    seldom = [tf(time_of(LONG[i]), transform("map", "odom", by, time_of(LONG[i]))) for i, by in shifts.items()]
+    log = load_log(put([mounted(), *posed(LONG), *seldom, *ranged(LONG)]))
+    assert_same_frames(log, [*LONG[:30], *shifted(LONG[30:], shifts[30])])
+    assert log.notes == {}
+
+
+def test_odometry_that_says_no_time_is_of_when_it_was_recorded(put):
+    """As rosserial sends it before its clock is set."""
+    poses = [again(odometry(time_of(frame), frame.pose), stamp=0) for frame in FRAMES]
+    found = list(load_log(put([mounted(), *poses, *RANGES])))
+    for one, other in zip(found, FRAMES, strict=True):
+        np.testing.assert_allclose(one.pose, other.pose, atol=1e-5)
+
+
+def test_a_reading_without_a_stamp_among_others_is_left_out_and_counted(put):
+    first = again(RANGES[0], stamp=0.0)._replace(time=START_S - 1)
+    log = load_log(put([mounted(time=START_S - 2), first, *posed(FRAMES), *RANGES]))
+    assert_same_frames(log, FRAMES)
+    assert list(log.notes.values()) == [1]
 
 
 def test_the_frames_can_be_chosen(put):
@@ -477,6 +556,11 @@ def other_robot() -> list[Said]:
     return [tf(START_S, *mounts, topic="/tf_static"), *posed(FRAMES, "r2/odom", "r2/base_link"), *ranges]
 
 
+def own_tf(robot: str, x: float) -> list[Said]:
+    """The transforms of a robot that has its own topic of them, but no names of its own for its frames."""
+    return [said._replace(topic=f"{robot}/tf") for said in posed(shifted(FRAMES, np.array([x, 0.0, 0.0])))]
+
+
 POINTS = [*posed(RING), *(cloud(frame, P3DX) for frame in RING)]
 TWO = [odometry(time_of(frame), frame.pose, topic=topic) for frame in FRAMES for topic in ("/odom", "/visual_odom")]
 RANGES = list(ranged(FRAMES))
@@ -528,10 +612,10 @@ BAD = {
         [],
         [f"last reading 10.8 s, poses 1600000000.0 to {END_S:.1f} s", "stamps of one clock"],
     ),
-    "poses without stamps": (
-        [mounted(), *(again(o, stamp=0) for o in TWO if o.topic == "/odom"), *RANGES],
+    "two robots with topics of tf of their own": (
+        [*own_tf("/r1", 0.0), *own_tf("/r2", 50.0), *RANGES],
         [],
-        ["poses 0.0 to 0.0 s", "stamps of one clock"],
+        ["transforms of 2 robots (/r1/tf, /r2/tf)", "sonars of one, by --topics"],
     ),
     "empty": ([], [], ["a bag without messages", "sensor_msgs/msg/Range"]),
     "no sonars": (TWO, [], ["no topic of sonars among /odom (nav_msgs/msg/Odometry), /visual_odom", "msg/Range"]),

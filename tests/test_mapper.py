@@ -126,6 +126,16 @@ def test_evidence_of_long_ago_is_forgotten_and_no_number_overflows():
     assert np.isfinite(mapper.grid().log_odds).all()
 
 
+def test_a_pause_of_many_half_lives_in_the_midst_of_scans_overflows_nothing():
+    frames = [scan(200.0 * (i > 4) + 0.1 * i, seed=i) for i in range(10)]
+    *_, paused = build_map(frames, B21, NETWORK, CELL_M, half_life=1.0)
+    *_, after = build_map(frames[5:], B21, NETWORK, CELL_M, half_life=1.0)
+    assert after.observed.sum() > 1000
+    np.testing.assert_array_equal(paused.observed, after.observed)
+    # What the surroundings were like before is remembered, so the two are not quite the same.
+    assert np.mean(np.abs(paused.log_odds - after.log_odds)[after.observed]) < 0.5
+
+
 def test_a_robot_that_stands_for_long_still_believes_what_is_new():
     """The looks that count less and less as they come again fade as well."""
     frames = [scan(0.2 * i) for i in range(300)]

@@ -77,14 +77,15 @@ def in_robot(
     return cos * x + sin * y, cos * y - sin * x
 
 
-def near_each_other(frames: Iterable[Frame]) -> Iterator[list[Frame]]:
-    """Frames in their order, as many together as one window of the map holds."""
+def near_each_other(frames: Iterable[Frame], span_s: float = np.inf) -> Iterator[list[Frame]]:
+    """Frames in their order, as many together as one window of the map holds, and of at most so long a time."""
     batch: list[Frame] = []
     low = high = np.zeros(2)
     for frame in frames:
         place = frame.pose[:2]
         low, high = (np.minimum(low, place), np.maximum(high, place)) if batch else (place, place)
-        if batch and (len(batch) == BATCH or np.any(high - low > WINDOW_M)):
+        late = bool(batch) and frame.stamp - batch[0].stamp > span_s
+        if batch and (len(batch) == BATCH or late or np.any(high - low > WINDOW_M)):
             yield batch
             batch, low, high = [], place, place
         batch.append(frame)
@@ -147,8 +148,12 @@ class Mapper:
             UsageError: a frame has another number of readings than the robot has sonars, or the map would become
                 too large.
         """
-        for batch in near_each_other(frames):
+        for batch in self.batches(frames):
             self.fuse(self.prepare(batch)())
+
+    def batches(self, frames: Iterable[Frame]) -> Iterator[list[Frame]]:
+        """Frames in their order, as many together as ``prepare`` takes at once."""
+        return near_each_other(frames, np.inf if self.half_life is None else _RENEW * self.half_life)
 
     def prepare(self, batch: Sequence[Frame]) -> Callable[[], Evidence]:
         """Look up what scans near each other are to be read with; what is returned reads them, in any thread.
@@ -156,7 +161,7 @@ class Mapper:
         Batches are to be prepared in their order, and what comes of them fused in it.
 
         Args:
-            batch: at most BATCH scans within WINDOW_M, as of ``near_each_other``.
+            batch: scans as of ``batches``.
         """
         stamps = np.array([frame.stamp for frame in batch])
         recalled = self._memory.take(

@@ -294,7 +294,7 @@ def _by_readings(frames: Iterator[Frame], robot: Robot, model: ReadingModel, res
 def _by_views(frames: Iterator[Frame], mapper: Mapper) -> Iterator[Grid]:
     with ThreadPoolExecutor(WORKERS) as pool:
         waiting: deque[Future[Evidence]] = deque()
-        for batch in near_each_other(frames):
+        for batch in mapper.batches(frames):
             waiting.append(pool.submit(mapper.prepare(batch)))
             # Batches are interpreted side by side, and fused in their order.
             if len(waiting) > WORKERS:

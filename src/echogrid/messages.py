@@ -82,14 +82,14 @@ def seconds(stamp: Any) -> float:
     return stamp.sec + stamp.nanosec * 1e-9
 
 
-def put_transforms(transforms: Transforms, message: Any, static: bool) -> Iterator[str]:
-    """Take a TFMessage; says of each transform that was refused why."""
+def put_transforms(transforms: Transforms, message: Any, static: bool, stamp: float | None = None) -> Iterator[str]:
+    """Take a TFMessage; says of each transform that was refused why. ``stamp`` (s) is taken in place of its own."""
     for each in message.transforms:
         at, turn = each.transform.translation, each.transform.rotation
         refused = transforms.put(
             each.header.frame_id,
             each.child_frame_id,
-            seconds(each.header.stamp),
+            seconds(each.header.stamp) if stamp is None else stamp,
             (at.x, at.y, at.z),
             (turn.x, turn.y, turn.z, turn.w),
             static=static,
@@ -98,13 +98,16 @@ def put_transforms(transforms: Transforms, message: Any, static: bool) -> Iterat
             yield refused
 
 
-def put_odometry(transforms: Transforms, message: Any) -> str | None:
-    """Take a nav_msgs/Odometry, which gives way to tf; why it was refused, if it was."""
+def put_odometry(transforms: Transforms, message: Any, stamp: float | None = None) -> str | None:
+    """Take a nav_msgs/Odometry, which gives way to tf; why it was refused, if it was.
+
+    ``stamp`` (s) is taken in place of its own.
+    """
     at, turn = message.pose.pose.position, message.pose.pose.orientation
     return transforms.put(
         message.header.frame_id or "odom",
         message.child_frame_id or "base_link",
-        seconds(message.header.stamp),
+        seconds(message.header.stamp) if stamp is None else stamp,
         (at.x, at.y, at.z),
         (turn.x, turn.y, turn.z, turn.w),
         weak=True,

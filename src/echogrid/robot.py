@@ -66,8 +66,10 @@ class Robot:
         return np.where(ranges < self.min_range_m, np.nan, ranges)
 
     def clean_one(self, range_m: float) -> float:
-        """``clean`` for a single reading."""
-        return np.inf if range_m >= self.max_range_m else np.nan if range_m < self.min_range_m else range_m
+        """``clean`` for a single reading, which may have been of single precision."""
+        if range_m >= self.max_range_m * (1 - 1e-6):
+            return np.inf
+        return np.nan if range_m < self.min_range_m * (1 - 1e-6) else range_m
 
     @staticmethod
     def load(name_or_file: str | Path) -> "Robot":

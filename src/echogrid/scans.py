@@ -16,7 +16,7 @@ from numpy import ndarray
 from echogrid.geometry import wrap
 from echogrid.log import Frame
 from echogrid.robot import TRANSDUCERS, Robot
-from echogrid.transforms import IDENTITY, Transforms, compose, inverse, planar, slope
+from echogrid.transforms import IDENTITY, JUMP_S, Transforms, compose, inverse, planar, slope, stands_still
 
 SILENT_S = 1.0
 """A sonar that was not heard for longer, and for five of its periods, is not waited for."""
@@ -52,9 +52,6 @@ LATE = "a reading older than the one before of its sonar"
 REPEATED = "a reading that came twice"
 BACK = "a clock that jumped back"
 NO_POSE = "a scan without a pose at its time"
-
-FIXED = ("map", "odom", "world", "earth", "odom_combined")
-"""Names of frames that stand still, whatever stands before their last slash."""
 
 
 def reading(range_m: float, min_range_m: float, max_range_m: float) -> float:
@@ -127,13 +124,14 @@ def base_of(transforms: Transforms, frame: str) -> str:
     Where tf does not lead that far up, the root of what there is.
     """
     line = transforms.line(frame)
-    return next((name for name in reversed(line) if name.split("/")[-1] not in FIXED), line[-1])
+    return next((name for name in reversed(line) if not stands_still(name)), line[-1])
 
 
 def fixed_of(transforms: Transforms, base: str) -> str | None:
     """The frame to map in: ``map`` if the robot's pose leads up to one, else the highest; None if there is none."""
     above = transforms.line(base)[1:]
-    return next((name for name in above if name.split("/")[-1] == "map"), above[-1] if above else None)
+    maps = (name for name in above if stands_still(name) and "map" in name.split("/")[-1])
+    return next(maps, above[-1] if above else None)
 
 
 class Scans:
@@ -241,17 +239,21 @@ class Scans:
                 known = self._transforms.known(self.fixed, self.base)
                 end = max(stamp for stamp, _ in scan.values())
                 newest = max(stamp for stamp, _ in self._waiting[-1].values())
-                if not final and (known is None or known[1] < end) and newest - end < PAUSE_S:
+                waited = newest - end
+                if final or waited > JUMP_S:  # a correction that comes so seldom need not be waited for
+                    frame = self._frame(scan, reach, hold=True)
+                if frame is None and not final and (known is None or known[1] < end) and waited < PAUSE_S:
                     return  # its pose may still come
-                self.dropped[NO_POSE] += 1
-            else:
+                if frame is None:
+                    self.dropped[NO_POSE] += 1
+            if frame is not None:
                 yield frame
             self._waiting.popleft()
 
-    def _frame(self, scan: dict[int, tuple[float, float]], reach: float) -> Frame | None:
+    def _frame(self, scan: dict[int, tuple[float, float]], reach: float, hold: bool = False) -> Frame | None:
         stamps = [stamp for stamp, _ in scan.values()]
         end = max(stamps)
-        there = self._transforms.rigid(self.fixed, self.base, end, reach)
+        there = self._transforms.rigid(self.fixed, self.base, end, reach, hold)
         if there is None:
             return None
         ranges = np.full(self.robot.sonars, nan)
@@ -265,7 +267,7 @@ class Scans:
                 if end - stamp <= _AT_ONCE_S:
                     continue
                 if stamp not in poses:
-                    then = self._transforms.rigid(self.fixed, self.base, stamp, reach)
+                    then = self._transforms.rigid(self.fixed, self.base, stamp, reach, hold)
                     if then is None:
                         return None
                     poses[stamp] = compose(back, then)

@@ -5,6 +5,7 @@ where it is. Between two samples of an edge the translation is interpolated line
 way, as tf2 does.
 """
 
+import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from math import atan2, hypot, isfinite, sqrt
@@ -28,6 +29,8 @@ JUMP_S, JUMP_M, JUMP_RAD = 2.0, 0.3, 0.35
 
 _SOON_S = 0.002
 
+_STANDS = re.compile(r"(?:^|[_-])v?(map|odom|odometry|world|earth)(?:[_-]|$)")
+
 _DEPTH = 64
 
 _FAR_M = 1e7
@@ -42,6 +45,12 @@ class Rigid(NamedTuple):
 
 
 IDENTITY = Rigid((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+def stands_still(frame: str) -> bool:
+    """Whether the name of a frame says that it does not move: map, odom, world, ``r1/odom``, ``odom_frame``."""
+    last = frame.rsplit("/", 1)[-1]
+    return _STANDS.search(last) is not None and "base" not in last
 
 
 def compose(a: Rigid, b: Rigid) -> Rigid:
@@ -113,10 +122,12 @@ def _between(a: Rigid, b: Rigid, share: float) -> Rigid:
 class _Edge:
     """A frame in its parent, over time."""
 
-    __slots__ = ("parent", "poses", "stamps", "static", "weak")
+    __slots__ = ("corrects", "parent", "poses", "stamps", "static", "weak")
 
-    def __init__(self, parent: str, static: bool, weak: bool):
+    def __init__(self, parent: str, static: bool, weak: bool, corrects: bool):
         self.parent, self.static, self.weak = parent, static, weak
+        # Of a frame that does not move, such as odom in map: what changes is what is known, and by jumps.
+        self.corrects = corrects
         self.stamps: list[float] = []
         self.poses: list[Rigid] = []
 
@@ -138,7 +149,7 @@ class _Edge:
             old = max(bisect_left(self.stamps, self.stamps[-1] - KEEP_S) - 1, len(self.stamps) - MAX_SAMPLES, 0)
             del self.stamps[:old], self.poses[:old]
 
-    def at(self, stamp: float, reach: float) -> Rigid | None:
+    def at(self, stamp: float, reach: float, hold: bool) -> Rigid | None:
         stamps, poses = self.stamps, self.poses
         if self.static:
             return poses[0]
@@ -149,7 +160,7 @@ class _Edge:
             return poses[0] if stamps[0] - stamp <= reach else None
         if after == len(stamps):
             if stamp - stamps[-1] > reach:
-                return None
+                return poses[-1] if hold and self.corrects else None
             if after == 1:
                 return poses[0]
             if stamps[-1] - stamps[-2] < _SOON_S:
@@ -158,7 +169,7 @@ class _Edge:
         start, end = stamps[after - 1], stamps[after]
         a, b = poses[after - 1], poses[after]
         if end - start > JUMP_S and _moved(a, b):
-            return None if stamp <= end else b
+            return b if stamp > end else a if self.corrects else None
         return _between(a, b, (stamp - start) / (end - start))
 
 
@@ -209,16 +220,31 @@ class Transforms:
             return "a rotation that is no unit quaternion"
         edge = self._edges.get(child)
         if edge is None or edge.parent != parent or edge.static != static or edge.weak != weak:
+            if edge is not None and weak and edge.static:
+                return self._put_at_root(parent, child, stamp, translation, rotation)
             if edge is not None and ((weak and not edge.weak) or (static and not edge.static)):
                 return None
             if edge is None and len(self._edges) >= MAX_FRAMES:
                 return f"a transform of frame number {MAX_FRAMES + 1}"
             if (edge is None or edge.parent != parent) and child in self.line(parent):
                 return "a transform that closes a circle"
-            edge = self._edges[child] = _Edge(parent, static, weak)
+            edge = self._edges[child] = _Edge(parent, static, weak, stands_still(child))
         tx, ty, tz = translation
         edge.put(float(stamp), Rigid((tx, ty, tz), (x / norm, y / norm, z / norm, w / norm)))
         return None
+
+    def _put_at_root(
+        self, parent: str, child: str, stamp: float, translation: Sequence[float], rotation: Sequence[float]
+    ) -> str | None:
+        """Take odometry of a frame that hangs on another, as base_link on base_footprint, for that of the other."""
+        root = self.line(child)[-1]
+        below = None if self.moves(child, root) or root == parent else self.rigid(child, root, stamp)
+        if below is None:
+            return None
+        x, y, z = translation
+        qx, qy, qz, qw = rotation
+        pose = compose(Rigid((x, y, z), (qx, qy, qz, qw)), below)
+        return self.put(parent, root, stamp, pose.translation, pose.rotation, weak=True)
 
     def still(self) -> "Transforms":
         """A copy with those transforms alone that do not change with time."""
@@ -268,7 +294,7 @@ class Transforms:
         moving = [edge.stamps for side in edges for edge in side if not edge.static]
         return max((s[0] for s in moving), default=-np.inf), min((s[-1] for s in moving), default=np.inf)
 
-    def rigid(self, target: str, source: str, stamp: float, reach: float = 0.0) -> Rigid | None:
+    def rigid(self, target: str, source: str, stamp: float, reach: float = 0.0, hold: bool = False) -> Rigid | None:
         """T_target_source at a time (s), or None where it is not known.
 
         Args:
@@ -277,6 +303,7 @@ class Transforms:
             stamp: s.
             reach: how far outside of its samples an edge still holds, s: before the first as it was then, after the
                 last as it went on.
+            hold: whether the last correction of a frame that does not move, such as odom in map, holds for ever.
         """
         edges = self._between(target, source)
         if edges is None:
@@ -284,13 +311,13 @@ class Transforms:
         up, down = edges
         result = None
         for edge in reversed(up):
-            pose = edge.at(stamp, reach)
+            pose = edge.at(stamp, reach, hold)
             if pose is None:
                 return None
             result = pose if result is None else compose(result, pose)
         result = None if result is None else inverse(result)
         for edge in reversed(down):
-            pose = edge.at(stamp, reach)
+            pose = edge.at(stamp, reach, hold)
             if pose is None:
                 return None
             result = pose if result is None else compose(result, pose)

@@ -206,7 +206,7 @@ def _print_bag(survey: bag.Survey) -> None:
         limits = f"{low:.2f}-{high:.2f} m"
         name = f"{sonar.topic} {sonar.frame}"
         print(f"{name:40} {heard.rate:5.1f} Hz  {place:25} {beam}  {limits:11} {heard.no_echo / heard.readings:6.1%}")
-    print()
+    print(f"\nposes         of {survey.base} in {survey.fixed}\n")
 
 
 @dataclass(frozen=True)

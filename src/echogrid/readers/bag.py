@@ -15,9 +15,10 @@ from echogrid.errors import InputError
 from echogrid.log import Frame, Log
 from echogrid.messages import RANGE, Choice
 from echogrid.readers.bag_file import BagFile, Message, recognises
-from echogrid.readers.bag_survey import Plan, Survey, events, short
+from echogrid.readers.bag_survey import BEGIN_S, NO_STAMP, Plan, Survey, events, short, turned
 from echogrid.robot import Robot
-from echogrid.scans import BACK, BACK_S, Scans, reading
+from echogrid.scans import BACK, BACK_S, Scans, fixed_of, mount, reading
+from echogrid.transforms import Transforms
 
 __all__ = ["load", "recognises", "survey"]
 
@@ -37,7 +38,13 @@ def load(path: Path, robot: Robot | None, choice: Choice | None = None) -> Log:
     """
     beginning = Survey(path, robot, choice or Choice())
     beginning.go(whole=False)
-    plan = beginning.plan()
+    try:
+        plan = beginning.plan()
+    except InputError:
+        # Poses, or the places of the sonars, may come later than the sonars themselves.
+        beginning = Survey(path, robot, choice or Choice())
+        beginning.go(whole=True)
+        plan = beginning.plan()
     notes: dict[str, int] = {}
     frames = partial(_frames, path, plan, notes)
     return Log(beginning.name, plan.robot.sonars, plan.robot, lambda: _telling(beginning.name, frames()), notes)
@@ -81,10 +88,13 @@ def _frames(path: Path, plan: Plan, notes: dict[str, int]) -> Iterator[Frame]:
         for topic, kind, received, content in bag.messages(plan.topics):
             if kind == RANGE:  # nearly all of them
                 stamp, frame, _, low, high, range_m = content
-                take((topic, frame), stamp or received, range_m, low, high)
+                if stamp or received < BEGIN_S or topic in plan.unstamped:
+                    take((topic, frame), stamp or received, range_m, low, high)
+                else:
+                    refused[NO_STAMP] += 1
             else:
                 message = Message(topic, kind, received, content)
-                for sonar, stamp, range_m, _, limits in events(message, transforms, robot, refused):
+                for sonar, stamp, range_m, _, limits in events(message, transforms, robot, refused, plan.unstamped):
                     take(sonar, stamp, range_m, *limits)
             if scans.pending:
                 for frame in scans.frames():
@@ -94,7 +104,7 @@ def _frames(path: Path, plan: Plan, notes: dict[str, int]) -> Iterator[Frame]:
             count += 1
             yield frame
     notes.clear()
-    notes |= plan.notes | dict(refused + scans.dropped)
+    notes |= plan.notes | dict(refused + scans.dropped) | _changes(plan, transforms, scans.newest)
     if not count:
         known = transforms.known(plan.fixed, plan.base)
         poses = "none" if known is None else f"{known[0]:.1f} to {known[1]:.1f} s"
@@ -103,6 +113,19 @@ def _frames(path: Path, plan: Plan, notes: dict[str, int]) -> Iterator[Frame]:
             f"no reading at a time of a pose (last reading {scans.newest:.1f} s, poses {poses})",
             "stamps of one clock",
         )
+
+
+def _changes(plan: Plan, transforms: Transforms, end: float) -> dict[str, int]:
+    """What turned out otherwise after the beginning of a bag than it was taken to be."""
+    notes: dict[str, int] = {}
+    later = fixed_of(transforms, plan.base)
+    if plan.free and later is not None and later != plan.fixed:
+        notes[f"mapped in {plan.fixed}; {later} came later, --fixed-frame {later} maps in it"] = 0
+    for number, frame in plan.frames.items():
+        now = mount(transforms, plan.base, frame, end)
+        if isinstance(now, np.ndarray) and turned(now, plan.robot.mounts[number]):
+            notes[f"{frame} moved on the robot, but is taken to sit where it did in the beginning"] = 0
+    return notes
 
 
 _LAST_S = 0.1

@@ -98,6 +98,9 @@ _MENDS = {
 }
 """What helps a bag that is cut off, by the end of its name."""
 
+_FOREIGN = ("jsonschema", "protobuf", "ros1msg", "flatbuffer")
+"""Encodings of an MCAP that the library does not know."""
+
 _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
 """Definition of both TFMessages, for bags that lack their own."""
 
@@ -189,6 +192,14 @@ class BagFile:
         except (EchogridError, PermissionError):
             raise
         except Exception as error:
+            if isinstance(error, KeyError) and str(error).strip("'") in (
+                "jsonschema",
+                "protobuf",
+                "ros1msg",
+                "flatbuffer",
+            ):
+                found = f"channels of {str(error).strip(chr(39))} in an MCAP"
+                raise InputError(self.name, found, "messages of ROS 2 alone (mcap filter)") from None
             said = " ".join(str(error).replace(f" {self.name}", "").split())[:120] or type(error).__name__
             if isinstance(error, MemoryError):  # a length that cannot be true
                 said = "a record too long for the memory"

@@ -122,6 +122,12 @@ class Plan:
     fixed: str
     transforms: Transforms
     """Of the survey; those that are static hold throughout."""
+    unstamped: frozenset[str]
+    """Topics whose messages never say a time: theirs is when they were recorded."""
+    frames: dict[int, str]
+    """The frame of each sonar whose mount the bag tells, by its number."""
+    free: bool
+    """Whether the frame to map in was found, not asked for."""
     notes: dict[str, int]
     """What is known beforehand to be left out or assumed, and how often."""
 
@@ -133,13 +139,37 @@ class Survey:
         """See ``load``."""
         self.robot, self.choice, self.transforms = robot, choice, Transforms()
         self.heard: dict[Sonar, Heard] = {}
+        self.base = self.fixed = ""
+        """The frame of the robot, and the one to map in, once ``plan`` has found them."""
         self._path, self._refused = path, Counter[str]()
         with BagFile(path) as bag:
             self.name, self.topics = bag.name, bag.topics()
         self.sonars = self._chosen()
         odometry = [topic for topic in self.topics if topic.type == ODOMETRY]
         self.odometry = [topic for topic in odometry if choice.takes(topic.name)] or odometry
+        self.odometry = self._beside(self.odometry) or self.odometry
+        self.tf = self._tf()
         self._links: dict[str, set[str]] = {}
+        self._stamped: set[str] = set()
+        self._seen: set[str] = set()
+
+    def _beside(self, topics: list[Topic]) -> list[Topic]:
+        """Those in the namespace of all sonars, or above it."""
+        names = [sonar.name for sonar in self.sonars]
+        spaces = {topic: topic.name.rsplit("/", 1)[0] + "/" for topic in topics}
+        return [topic for topic in topics if all(name.startswith(spaces[topic]) for name in names)]
+
+    def _tf(self) -> list[Topic]:
+        """The topics of transforms: of one robot, where each has its own."""
+        there = [topic for topic in self.topics if topic.type in (TF, TF_OLD)]
+        spaces = {topic.name.rsplit("/", 1)[0] for topic in there}
+        if len(spaces) < 2:
+            return there
+        near = self._beside(there)
+        if not near:
+            names = _few(sorted(topic.name for topic in there))
+            raise InputError(self.name, f"transforms of {len(spaces)} robots ({names})", "sonars of one, by --topics")
+        return near
 
     def _chosen(self) -> list[Topic]:
         """The topics of sonars to be read: of the best type that is there."""
@@ -170,12 +200,14 @@ class Survey:
 
     def go(self, whole: bool) -> None:
         """Read the bag: all of it, or until the sonars are known."""
-        topics = {topic.name for topic in (*self.sonars, *self.odometry)}
-        topics |= {topic.name for topic in self.topics if topic.type in (TF, TF_OLD)}
+        topics = {topic.name for topic in (*self.sonars, *self.odometry, *self.tf)}
         silent, until, count = {topic.name for topic in self.sonars}, inf, 0
         with BagFile(self._path) as bag:
             for message in bag.messages(topics):
                 count += 1
+                self._seen.add(message.topic)
+                if message.topic not in self._stamped and (stamp_of(message) or message.received < BEGIN_S):
+                    self._stamped.add(message.topic)
                 if message.type == ODOMETRY:
                     child = message.content.child_frame_id.lstrip("/") or "base_link"
                     self._links.setdefault(child, set()).add(message.topic)
@@ -207,8 +239,10 @@ class Survey:
             raise self._no_pose(base, fixed)
         if base in self.transforms.line(fixed):
             above = _few(self.transforms.line(base)[1:])
-            raise InputError(self.name, f"{fixed} to map in, which moves with {base}", f"--fixed-frame with {above}")
+            wanted = f"--fixed-frame with {above}" if above != "nothing" else "--base-frame with the robot's own"
+            raise InputError(self.name, f"{fixed} to map in, which moves with {base}", wanted)
         self._one_pose(base, fixed)
+        self.base, self.fixed = base, fixed
         notes: dict[str, int] = {}
         if self.robot is None:
             sonars = self._place(sonars, base, notes)
@@ -222,11 +256,12 @@ class Survey:
         if zeros:
             count = sum(self.heard[sonar].zeros for sonar in zeros)
             notes[f"nothing but 0 m, which is no range, from {_names(zeros)} in the beginning"] = count
-        topics = {topic.name for topic in self.sonars}
-        topics |= {topic.name for topic in self.topics if topic.type in (TF, TF_OLD)}
-        topics |= {topic.name for topic in self.odometry}
+        topics = frozenset(topic.name for topic in (*self.sonars, *self.odometry, *self.tf))
         numbers = {sonar: number for number, sonar in enumerate(sonars)}
-        return Plan(robot, numbers, frozenset(topics), base, fixed, self.transforms, notes)
+        frames = {} if self.robot else {number: sonar.frame for sonar, number in numbers.items()}
+        unstamped = frozenset(self._seen - self._stamped)
+        free = self.choice.fixed is None
+        return Plan(robot, numbers, topics, base, fixed, self.transforms, unstamped, frames, free, notes)
 
     def _base(self, sonars: list[Sonar]) -> str:
         """The frame of the robot that carries the sonars."""
@@ -237,7 +272,9 @@ class Survey:
             if sonar.frame.lstrip("/") in self.transforms:
                 carried.setdefault(base_of(self.transforms, sonar.frame), []).append(sonar)
         moving = {base_of(self.transforms, child) for child in self.transforms.children()}
-        moving = {base for base in moving if fixed_of(self.transforms, base)}
+        above = {base: fixed_of(self.transforms, base) for base in moving}
+        # What stands still in the room, such as a dock, is no robot.
+        moving = {base for base, fixed in above.items() if fixed and self.transforms.moves(fixed, base)}
         bases = [base for base in carried if base in moving] or (sorted(moving) if self.robot else list(carried))
         if len(bases) > 1:
             found = "; ".join(f"{base} ({_names(carried.get(base, []))})" for base in sorted(bases))
@@ -273,7 +310,7 @@ class Survey:
         return InputError(
             self.name,
             f"no pose of {base}{f' in {fixed}' if fixed else ''}{there}",
-            "tf from map or odom to the robot, or nav_msgs/Odometry",
+            f"tf from map or odom to the robot, or nav_msgs/Odometry (or --base-frame, if {base} is not the robot)",
         )
 
     def _one_pose(self, base: str, fixed: str) -> None:
@@ -323,8 +360,7 @@ class Survey:
             return None, f"no transform to {base}"
         if isinstance(first, str) or isinstance(last, str):
             return None, str(first if isinstance(first, str) else last)
-        apart = np.abs(first - last)
-        if max(apart[:2]) > _TURNED_M or _TURNED_RAD < apart[2] < 2 * np.pi - _TURNED_RAD:
+        if turned(first, last):
             return None, "one that moves on the robot"
         return last, None
 
@@ -341,16 +377,52 @@ class Survey:
         return robot_of(base, mounts, widths, [heard.limits for heard in told])
 
 
-def events(message: Message, transforms: Transforms, robot: Robot | None, refused: Counter[str]) -> Iterator[Event]:
-    """The readings in a message; its transforms and poses are put where they belong."""
+def turned(first: Float[ndarray, "3"], last: Float[ndarray, "3"]) -> bool:
+    """Whether a mount (m, m, rad) has changed."""
+    apart = np.abs(first - last)
+    return bool(max(apart[:2]) > _TURNED_M or _TURNED_RAD < apart[2] < 2 * np.pi - _TURNED_RAD)
+
+
+def stamp_of(message: Message) -> float:
+    """The time that a message says, s; 0 if it says none."""
+    content = message.content
+    if message.type == RANGE:
+        return content.stamp
+    if message.type in (TF, TF_OLD):
+        return max((seconds(each.header.stamp) for each in content.transforms), default=0.0)
+    return seconds(content.header.stamp)
+
+
+BEGIN_S = 1.0
+"""Of a bag whose time begins before this, 0 is a time as any other, s."""
+
+NO_STAMP = "a reading without a time on a topic of others that have one"
+
+
+def events(
+    message: Message,
+    transforms: Transforms,
+    robot: Robot | None,
+    refused: Counter[str],
+    unstamped: Collection[str] | None = None,
+) -> Iterator[Event]:
+    """The readings in a message; its transforms and poses are put where they belong.
+
+    ``unstamped``: topics whose messages have the time when they were recorded; None: each that says no other.
+    """
     content, kind = message.content, message.type
+    late = message.received if unstamped is not None and message.topic in unstamped else None
+    silent = late is None and message.received >= BEGIN_S and not stamp_of(message)
+    if kind in SONARS and unstamped is not None and silent:
+        refused[NO_STAMP] += 1
+        return
     if kind == RANGE:
         stamp, frame, field_of_view, low, high, range_m = content
         yield Event(Sonar(message.topic, frame), stamp or message.received, range_m, field_of_view, (low, high))
     elif kind in (TF, TF_OLD):
-        refused.update(put_transforms(transforms, content, message.topic.rsplit("/", 1)[-1] == "tf_static"))
+        refused.update(put_transforms(transforms, content, message.topic.rsplit("/", 1)[-1] == "tf_static", late))
     elif kind == ODOMETRY:
-        reason = put_odometry(transforms, content)
+        reason = put_odometry(transforms, content, late)
         if reason:
             refused[reason] += 1
     else:
