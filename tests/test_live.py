@@ -33,7 +33,7 @@ class Recorder(Mapper):
     def equip(self, robot):
         self.robot, self.before, self.frames = robot, self.before + self.frames, []
 
-    def prepare(self, batch):
+    def prepare(self, batch, size=None):
         return lambda: cast(Any, None)
 
     def add(self, frames):

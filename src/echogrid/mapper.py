@@ -155,19 +155,21 @@ class Mapper:
         """Frames in their order, as many together as ``prepare`` takes at once."""
         return near_each_other(frames, np.inf if self.half_life is None else _RENEW * self.half_life)
 
-    def prepare(self, batch: Sequence[Frame]) -> Callable[[], Evidence]:
+    def prepare(self, batch: Sequence[Frame], size: int | None = None) -> Callable[[], Evidence]:
         """Look up what scans near each other are to be read with; what is returned reads them, in any thread.
 
         Batches are to be prepared in their order, and what comes of them fused in it.
 
         Args:
             batch: scans as of ``batches``.
+            size: one of SIZES, to which the batch is filled up; None: the smallest that holds it. Each is a program
+                to compile, which takes a second or more.
         """
         stamps = np.array([frame.stamp for frame in batch])
         recalled = self._memory.take(
             np.array([frame.pose for frame in batch]), np.array([frame.ranges for frame in batch]), stamps
         )
-        size = next(size for size in SIZES if size >= len(batch))
+        size = size or next(size for size in SIZES if size >= len(batch))
         at = placed(batch, size, self._side, self.resolution)
         traits = np.full((size, TRAITS), 0.5, dtype=np.float32)
         traits[: len(batch)] = recalled.traits

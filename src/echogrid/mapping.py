@@ -19,7 +19,7 @@ from echogrid.geometry import compose, inverse
 from echogrid.grid import P_MIN, Grid, GrowingGrid, covered, logit
 from echogrid.interpret import LOCAL_CELL_M, LOCAL_CELLS, Interpreter
 from echogrid.log import Frame
-from echogrid.mapper import BATCH, FINE_CELL_M, WINDOW_M, Evidence, Mapper, in_robot, near_each_other, placed
+from echogrid.mapper import BATCH, FINE_CELL_M, SIZES, WINDOW_M, Evidence, Mapper, in_robot, near_each_other, placed
 from echogrid.models import DEFAULT, Model, sensor_model
 from echogrid.robot import Robot
 from echogrid.set_network import SetNetwork
@@ -295,7 +295,8 @@ def _by_views(frames: Iterator[Frame], mapper: Mapper) -> Iterator[Grid]:
     with ThreadPoolExecutor(WORKERS) as pool:
         waiting: deque[Future[Evidence]] = deque()
         for batch in mapper.batches(frames):
-            waiting.append(pool.submit(mapper.prepare(batch)))
+            # Of one size, for a log is read in less time than another program is compiled.
+            waiting.append(pool.submit(mapper.prepare(batch, SIZES[-1])))
             # Batches are interpreted side by side, and fused in their order.
             if len(waiting) > WORKERS:
                 mapper.fuse(waiting.popleft().result())
