@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bag_writers import (
@@ -753,6 +754,18 @@ def test_what_is_in_a_bag_is_told(put, capsys):
 def test_a_bag_with_the_ending_of_another_says_which_it_is(put, tmp_path, capsys, name):
     path = put(DRIVE[:50]).rename(tmp_path / name)
     assert "begins like .bag" in refused(capsys, path)
+
+
+def test_an_mcap_with_channels_that_are_not_of_ros_is_not_called_damaged(tmp_path, capsys):
+    path = tmp_path / "drive.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("log", "jsonschema", b"{}")
+        channel = writer.register_channel("/log", "json", schema)
+        writer.add_message(channel, 0, b"{}", 0)
+        writer.finish()
+    assert "channels of jsonschema in an MCAP, expected messages of ROS 2 alone" in refused(capsys, path)
 
 
 def test_a_folder_without_its_metadata_says_which_file_to_take(put, capsys):

@@ -24,9 +24,6 @@ TF, TF_OLD, ODOMETRY = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", "nav_msgs/m
 SONARS = (RANGE, SONAR_ARRAY, CLOUD, CLOUD2)
 """Types that carry readings of sonars, the best first."""
 
-WHOLE = SONARS[1:]
-"""Types whose messages hold all sonars at once, in an order, but do not say where they sit."""
-
 
 @dataclass(frozen=True)
 class Choice:

@@ -192,13 +192,8 @@ class BagFile:
         except (EchogridError, PermissionError):
             raise
         except Exception as error:
-            if isinstance(error, KeyError) and str(error).strip("'") in (
-                "jsonschema",
-                "protobuf",
-                "ros1msg",
-                "flatbuffer",
-            ):
-                found = f"channels of {str(error).strip(chr(39))} in an MCAP"
+            if isinstance(error, KeyError) and error.args[0] in _FOREIGN:
+                found = f"channels of {error.args[0]} in an MCAP"
                 raise InputError(self.name, found, "messages of ROS 2 alone (mcap filter)") from None
             said = " ".join(str(error).replace(f" {self.name}", "").split())[:120] or type(error).__name__
             if isinstance(error, MemoryError):  # a length that cannot be true
