@@ -74,6 +74,23 @@ class Grid:
         p = self.probability()[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
         return np.where(inside, p, 0.5)
 
+    def part(self, first: Int[ndarray, "2"], shape: tuple[int, int]) -> "Grid":
+        """A rectangle of cells, a copy without views; what lies outside of the grid is not observed.
+
+        Args:
+            first: its first cell [row, col], which may lie outside.
+            shape: its rows and columns.
+        """
+        low = np.clip(first, 0, self.shape)
+        high = np.clip(first + np.array(shape), low, self.shape)
+        source, target = (
+            tuple(slice(a, b) for a, b in zip(low - begin, high - begin, strict=True)) for begin in (0, first)
+        )
+        log_odds, observed = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool)
+        log_odds[target], observed[target] = self.log_odds[source], self.observed[source]
+        x, y = np.asarray(self.origin) + first[::-1] * self.resolution
+        return Grid(log_odds, observed, self.resolution, (float(x), float(y)))
+
     def refined(self) -> "Grid":
         """The final refinement by a 3x3 neighbourhood mask of the paper's earlier system.
 
@@ -219,20 +236,19 @@ class GrowingGrid:
         cells["log_odds"] += evidence
         cells["observed"] |= spoken
 
-    def overlap(self, corner: Int[ndarray, "2"], shape: tuple[int, int]) -> tuple[Layers, tuple[slice, slice]]:
-        """The layers of the part of a rectangle that was reserved, as views, and where in the rectangle it lies.
+    def overlap(self, corner: Int[ndarray, "2"], shape: tuple[int, int]) -> Layers:
+        """The layers of the part of a rectangle that was reserved, as views to read and to write.
 
         Args:
             corner: its first cell [row, col], counted from the world's origin.
             shape: its rows and columns.
         """
         if not self._layers["log_odds"].size:
-            return self._layers, (slice(0, 0), slice(0, 0))
+            return self._layers
         low = np.clip(self._low, corner, corner + shape)
         high = np.clip(self._high, low, corner + shape)
         rows, cols = (int(n) for n in high - low)
-        row, col = (int(n) for n in low - corner)
-        return self.window(low, (rows, cols)), (slice(row, row + rows), slice(col, col + cols))
+        return self.window(low, (rows, cols))
 
     def part(self, corner: Int[ndarray, "2"], shape: tuple[int, int]) -> Grid:
         """A rectangle of the map, a copy; nobody has spoken of what lies outside of what was reserved.
@@ -241,12 +257,8 @@ class GrowingGrid:
             corner: as for ``overlap``.
             shape: likewise.
         """
-        cells, place = self.overlap(corner, shape)
-        copied = {name: np.zeros(shape, dtype=cells[name].dtype) for name in ("log_odds", "observed")}
-        for name, layer in copied.items():
-            layer[place] = cells[name]
-        x, y = (float(v) for v in corner[::-1] * self.resolution)
-        return Grid(copied["log_odds"], copied["observed"], self.resolution, (x, y))
+        begin = self._low if self._layers["log_odds"].size else np.zeros(2, dtype=np.int64)
+        return self.grid().part(corner - begin, shape)
 
     def layers(self) -> Layers:
         """All layers of the part of the map that has been reserved so far, as views to read and to write."""

@@ -249,7 +249,7 @@ class Mapper:
         cells = round(side_m / self.resolution)
         corner = np.floor(np.array([y, x]) / self.resolution).astype(np.int64) - cells // 2
         if self.half_life is not None:
-            self._read_out(self._grown.overlap(corner, (cells, cells))[0])
+            self._read_out(self._grown.overlap(corner, (cells, cells)))
         return self._grown.part(corner, (cells, cells))
 
 

@@ -216,14 +216,7 @@ def around(grid: Grid, p_world: Float[ndarray, "2"], side: float) -> Grid:
     """
     low = grid.index_of(np.asarray(p_world, dtype=float) - side / 2)
     count = int(np.ceil(side / grid.resolution))
-    first = np.clip(low, 0, grid.shape)
-    last = np.clip(low + count, 0, grid.shape)
-    source = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
-    target = tuple(slice(a, b) for a, b in zip(first - low, last - low, strict=True))
-    log_odds, observed = np.zeros((count, count), dtype=np.float32), np.zeros((count, count), dtype=bool)
-    log_odds[target], observed[target] = grid.log_odds[source], grid.observed[source]
-    x, y = np.asarray(grid.origin) + low[::-1] * grid.resolution
-    return Grid(log_odds, observed, grid.resolution, (float(x), float(y)))
+    return grid.part(low, (count, count))
 
 
 def _greys(grid: Grid) -> UInt8[ndarray, "rows cols"]:
