@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from echogrid import Robot, World
-from echogrid.drive import tour
-from echogrid.log import Frame
-from echogrid.simulate import Simulator
+from echogrid.frame import Frame
+from echogrid.simulation.drive import tour
+from echogrid.simulation.simulate import Simulator
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from peers.fastdds import peer  # ty: ignore[import-not-found]

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from echogrid import Log, Robot, World, build_map, load_log
-from echogrid.drive import tour
-from echogrid.log import Frame
-from echogrid.mapper import Mapper
-from echogrid.models import sensor_model
-from echogrid.readers.csv_log import write_csv
-from echogrid.set_network import SetNetwork
-from echogrid.simulate import Simulator
+from echogrid.frame import Frame
+from echogrid.logs.csv_log import write_csv
+from echogrid.mapping.mapper import Mapper
+from echogrid.models.set_network import SetNetwork
+from echogrid.models.table import sensor_model
+from echogrid.simulation.drive import tour
+from echogrid.simulation.simulate import Simulator
 
 SCANS, RUNS = 20_000, 5
 

@@ -8,7 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from echogrid.readers.csv_log import write_csv
+from echogrid.logs.csv_log import write_csv
 from mapping import long_log
 
 RUN = """

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from echogrid import Log, Robot, build_map
-from echogrid.models import MODELS, sensor_model
+from echogrid.models.table import MODELS, sensor_model
 from mapping import long_log
 from mrpt import available, mrpt_map
 

@@ -18,9 +18,9 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.errors import UsageError
+from echogrid.frame import Frame
 from echogrid.geometry import transform
 from echogrid.grid import Grid, logit
-from echogrid.log import Frame
 from echogrid.robot import Robot
 
 HARNESS = Path(__file__).parent / "mrpt" / "build" / "mrpt_grid"

@@ -8,9 +8,9 @@ import time
 import numpy as np
 
 from echogrid import Robot, World
-from echogrid.rooms import box
-from echogrid.simulate import Simulator
-from echogrid.world import SMOOTH_M, polyline
+from echogrid.simulation.rooms import box
+from echogrid.simulation.simulate import Simulator
+from echogrid.simulation.world import SMOOTH_M, polyline
 
 SCANS, RUNS = 2048, 5
 

@@ -24,15 +24,17 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from echogrid import Robot, build_map, mapping, train
-from echogrid.drive import truth_of
-from echogrid.examples import Examples, generate
+from echogrid import Robot, build_map
 from echogrid.grid import Grid
-from echogrid.interpret import Network
-from echogrid.mapping import LocalMap, resample
+from echogrid.mapping import build as mapping
+from echogrid.mapping.build import LocalMap, resample
 from echogrid.metrics import Scores, score
-from echogrid.models import sensor_model
-from echogrid.train import Recipe, fit
+from echogrid.models.network import Network
+from echogrid.models.table import sensor_model
+from echogrid.simulation.drive import truth_of
+from echogrid.training import train
+from echogrid.training.examples import Examples, generate
+from echogrid.training.train import Recipe, fit
 from held_out import KINDS, SEED, frames, interval, rooms
 from paper import record, save
 

@@ -15,9 +15,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from echogrid.acoustics import BEAMS, Physics, absorption, speed_of_sound
 from echogrid.geometry import wrap
-from echogrid.simulate import rotary_scan
+from echogrid.simulation.acoustics import BEAMS, Physics, absorption, speed_of_sound
+from echogrid.simulation.simulate import rotary_scan
 from figures_2_3_4 import BEARING, HEAD, MAX_RANGE, NULLS, PLAN, POSITIONS, Judged, rounded, where
 from paper import record, save
 

@@ -15,8 +15,8 @@ from matplotlib.axes import Axes
 
 from corridor8_to_csv import frames
 from echogrid import Grid, Log, Robot
-from echogrid.interpret import LOCAL_CELL_M
 from echogrid.metrics import FREE_BELOW, OCCUPIED_ABOVE
+from echogrid.models.network import LOCAL_CELL_M
 from held_out import EVERY, mapped
 from paper import Panel, page, record
 

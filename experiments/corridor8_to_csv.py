@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from echogrid.errors import EchogridError, InputError
+from echogrid.frame import Frame
 from echogrid.geometry import wrap
-from echogrid.log import Frame
-from echogrid.readers import write_csv
+from echogrid.logs.formats import write_csv
 from echogrid.robot import Robot
 
 ROBOT_FILE = Path(__file__).with_name("corridor8.yaml")

@@ -14,9 +14,9 @@ Writes docs/paper/figure_5 (PNG and SVG) and figure_5.json: how far the simulato
 import numpy as np
 from matplotlib.figure import Figure
 
-from echogrid.acoustics import Physics, acoustics
-from echogrid.simulate import rotary_scan
-from echogrid.world import ROUGH_M, SMOOTH_M, World, polyline
+from echogrid.simulation.acoustics import Physics, acoustics
+from echogrid.simulation.simulate import rotary_scan
+from echogrid.simulation.world import ROUGH_M, SMOOTH_M, World, polyline
 from figures_2_3_4 import BEARING, HEAD, MAX_RANGE, disturbed_scan, rounded
 from paper import record, save
 

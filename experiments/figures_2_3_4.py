@@ -18,13 +18,13 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from echogrid.acoustics import Physics, bessel_beam, speed_of_sound
 from echogrid.geometry import wrap
-from echogrid.picture import draw_regions
-from echogrid.regions import regions_of_constant_depth
+from echogrid.output.picture import draw_regions
 from echogrid.robot import TRANSDUCERS, Robot
-from echogrid.simulate import RAYS, Simulator, disturb, rotary_scan
-from echogrid.world import World
+from echogrid.simulation.acoustics import Physics, bessel_beam, speed_of_sound
+from echogrid.simulation.regions import regions_of_constant_depth
+from echogrid.simulation.simulate import RAYS, Simulator, disturb, rotary_scan
+from echogrid.simulation.world import World
 from paper import record, save
 
 PLAN = World.load("lab")

@@ -12,9 +12,9 @@ every classical model beside the network.
 from dataclasses import asdict
 
 from echogrid import Robot, World
-from echogrid.drive import tour, truth_of
 from echogrid.metrics import score
-from echogrid.simulate import Simulator
+from echogrid.simulation.drive import tour, truth_of
+from echogrid.simulation.simulate import Simulator
 from held_out import EVERY, mapped
 from paper import page, record
 

@@ -45,14 +45,14 @@ import corridor8_map
 import paper
 from corridor8_to_csv import frames as corridor_frames
 from echogrid import Frame, Grid, Robot, World
-from echogrid.drive import STEP_M, tour, truth_of
 from echogrid.errors import EchogridError
-from echogrid.interpret import LOCAL_CELL_M
-from echogrid.mapping import cell_of
+from echogrid.mapping.build import cell_of
 from echogrid.metrics import ECE_BINS, FREE, FREE_BELOW, HIDDEN, OCCUPIED_ABOVE, SURFACE, Truth
-from echogrid.models import DEFAULT, MODELS, sensor_model
+from echogrid.models.network import LOCAL_CELL_M
+from echogrid.models.table import DEFAULT, MODELS, sensor_model
 from echogrid.robot import preset_names, robot_yaml
-from echogrid.world import polyline
+from echogrid.simulation.drive import STEP_M, tour, truth_of
+from echogrid.simulation.world import polyline
 from held_out import PLACES, SHOWN, against, frames, interval, mapped, rooms, scored
 from mujoco_sonar import available, mujoco_ranges
 from paper import Panel, page, record, save

@@ -22,14 +22,14 @@ import numpy as np
 from tqdm import tqdm
 
 from echogrid import Frame, Robot, build_map
-from echogrid.acoustics import Physics
-from echogrid.drive import tour, truth_of
 from echogrid.errors import UsageError
 from echogrid.metrics import PathScore, Scores, path_score, score
-from echogrid.models import DEFAULT, MODELS, sensor_model
-from echogrid.rooms import random_physics, random_world
-from echogrid.simulate import Simulator
-from echogrid.world import inside_room
+from echogrid.models.table import DEFAULT, MODELS, sensor_model
+from echogrid.simulation.acoustics import Physics
+from echogrid.simulation.drive import tour, truth_of
+from echogrid.simulation.rooms import random_physics, random_world
+from echogrid.simulation.simulate import Simulator
+from echogrid.simulation.world import inside_room
 from leonard import leonard_ranges
 from paper import record
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from echogrid.geometry import wrap
 from echogrid.robot import Robot
-from echogrid.simulate import sonar_poses
-from echogrid.world import World
+from echogrid.simulation.simulate import sonar_poses
+from echogrid.simulation.world import World
 
 CONE = np.deg2rad(12.5)
 ROUGH_CONE = np.deg2rad(6.0)

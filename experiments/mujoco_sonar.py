@@ -22,7 +22,7 @@ from numpy import ndarray
 from echogrid.errors import UsageError
 from echogrid.geometry import compose
 from echogrid.robot import Robot
-from echogrid.world import World
+from echogrid.simulation.world import World
 
 CONE = np.deg2rad(12.5)
 FAN = np.linspace(-CONE, CONE, 26)

@@ -26,12 +26,12 @@ from scipy import ndimage
 from tqdm import tqdm
 
 from echogrid import Robot, World
-from echogrid.acoustics import Physics
-from echogrid.drive import tour
 from echogrid.errors import UsageError
-from echogrid.rooms import random_physics, random_transducer, random_world
-from echogrid.simulate import Simulator, disturb
-from echogrid.world import inside_room
+from echogrid.simulation.acoustics import Physics
+from echogrid.simulation.drive import tour
+from echogrid.simulation.rooms import random_physics, random_transducer, random_world
+from echogrid.simulation.simulate import Simulator, disturb
+from echogrid.simulation.world import inside_room
 from paper import record, save
 
 FOLDER = Path(__file__).parents[2] / "shared" / "data" / "scitos24"

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from echogrid import Robot, build_map
-from echogrid.drive import truth_of
 from echogrid.metrics import score
-from echogrid.models import MODELS
+from echogrid.models.table import MODELS
+from echogrid.simulation.drive import truth_of
 from held_out import PLACES, frames, rooms
 from paper import record, recorded
 

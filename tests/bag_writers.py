@@ -22,10 +22,10 @@ from rosbags.rosbag2 import Writer as FolderWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from echogrid.log import Frame
-from echogrid.messages import CLOUD, CLOUD2, ODOMETRY, RANGE, SONAR_ARRAY, TF
-from echogrid.readers import load_log
+from echogrid.frame import Frame
+from echogrid.logs.formats import load_log
 from echogrid.robot import Robot
+from echogrid.ros.messages import CLOUD, CLOUD2, ODOMETRY, RANGE, SONAR_ARRAY, TF
 
 START_S = 1_600_000_000.0
 """When the drives begin."""

@@ -9,18 +9,20 @@ import echogrid
 
 PACKAGE = Path(echogrid.__file__).parent
 
-# A module imports only from modules to its left.
-ORDER = [
-    *("errors", "geometry", "regions", "files", "robot", "world", "acoustics", "rooms", "log"),
-    *("transforms", "scans", "messages"),
-    *("readers.lines", "readers.csv_log", "readers.carmen", "readers.bag_file", "readers.bag_survey"),
-    *("readers.bag", "readers"),
-    *("grid", "metrics", "drive", "echo", "simulate", "memory", "interpret", "set_network", "beam"),
-    *("classical", "calculi", "em", "models", "mapper", "mapping"),
-    *("examples", "lessons", "train", "set_training"),
-    *("picture", "map_server", "mapfile", "recording", "page", "viewer", "live", "dds"),
-    *("cli.arguments", "cli.maps", "cli.simulation", "cli.live", "cli"),
-]
+# The rooms along the way of the data. A room imports only from rooms before it, a module only from modules before it.
+PLAN = {
+    "": "errors geometry files robot frame grid metrics",
+    "simulation": "regions world acoustics rooms drive echo simulate",
+    "ros": "transforms scans messages",
+    "logs": "lines csv_log carmen bag_file bag_survey bag formats contents",
+    "models": "memory network set_network beam classical calculi em table",
+    "mapping": "mapper build",
+    "training": "examples lessons train set_training",
+    "output": "picture map_server mapfile recorder page viewer",
+    "live": "live_map dds",
+    "cli": "arguments maps simulation live",
+}
+ORDER = [f"{room}.{name}".strip(".") for room, names in PLAN.items() for name in [*names.split(), ""] if room or name]
 
 
 def modules():
@@ -99,7 +101,7 @@ def test_a_log_is_read_and_described_without_jax(tmp_path):
     code = """
 import sys
 from echogrid import Robot, load_log
-from echogrid.log import describe
+from echogrid.logs.contents import describe
 assert describe(load_log(sys.argv[1])).frames == 2
 assert Robot.load("b21").sonars == 24
 """

@@ -15,22 +15,22 @@ __version__ = metadata.version("echogrid")
 
 if TYPE_CHECKING:
     from echogrid.errors import EchogridError
+    from echogrid.frame import Frame, Log
     from echogrid.grid import Grid
-    from echogrid.log import Frame, Log
-    from echogrid.mapping import build_map
-    from echogrid.readers import load_log
+    from echogrid.logs.formats import load_log
+    from echogrid.mapping.build import build_map
     from echogrid.robot import Robot
-    from echogrid.world import World
+    from echogrid.simulation.world import World
 
 _HOME = {
     "EchogridError": "errors",
-    "Frame": "log",
+    "Frame": "frame",
     "Grid": "grid",
-    "Log": "log",
+    "Log": "frame",
     "Robot": "robot",
-    "World": "world",
-    "build_map": "mapping",
-    "load_log": "readers",
+    "World": "simulation.world",
+    "build_map": "mapping.build",
+    "load_log": "logs.formats",
 }
 
 __all__ = ["EchogridError", "Frame", "Grid", "Log", "Robot", "World", "build_map", "load_log"]

@@ -7,8 +7,8 @@ import json
 import sys
 from threading import Thread
 
-from echogrid.dds import Network
-from echogrid.messages import Choice
+from echogrid.live.dds import Network
+from echogrid.ros.messages import Choice
 
 network = Network(int(sys.argv[1]), sys.argv[2], Choice(), "/map", "/local_map")
 print("ready", flush=True)

@@ -9,13 +9,13 @@ from typing import Annotated
 from tqdm import tqdm
 from tyro.conf import arg
 
-from echogrid.acoustics import BEAMS, Physics
 from echogrid.errors import UsageError
-from echogrid.log import Log
-from echogrid.messages import Choice
-from echogrid.readers import load_log
+from echogrid.frame import Log
+from echogrid.logs.formats import load_log
 from echogrid.robot import Robot, preset_names
-from echogrid.world import world_names
+from echogrid.ros.messages import Choice
+from echogrid.simulation.acoustics import BEAMS, Physics
+from echogrid.simulation.world import world_names
 
 WORLD = arg(metavar="WORLD", help=f"World file, or a shipped one: {', '.join(world_names())}.")
 

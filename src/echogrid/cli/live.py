@@ -20,9 +20,9 @@ from echogrid.errors import EchogridError, UsageError
 from echogrid.files import made
 
 if TYPE_CHECKING:
-    from echogrid.dds import Network
-    from echogrid.live import Live as Mapping
-    from echogrid.live import Snapshot
+    from echogrid.live.dds import Network
+    from echogrid.live.live_map import Live as Mapping
+    from echogrid.live.live_map import Snapshot
 
 STATUS_S = 10.0
 """How often it is said how it goes."""
@@ -72,13 +72,13 @@ class Live:
         """Map until stopped."""
         domain = self._check()
         try:
-            from echogrid.dds import Network
+            from echogrid.live.dds import Network
         except ImportError:
             raise UsageError("live: found no cyclonedds, expected `pip install 'echogrid[ros2]'`") from None
-        from echogrid.live import Live as Mapping
-        from echogrid.live import Settings
-        from echogrid.models import sensor_model
-        from echogrid.set_network import SetNetwork
+        from echogrid.live.live_map import Live as Mapping
+        from echogrid.live.live_map import Settings
+        from echogrid.models.set_network import SetNetwork
+        from echogrid.models.table import sensor_model
 
         model = sensor_model(self.interpreter)
         if not isinstance(model, SetNetwork):
@@ -197,7 +197,7 @@ class _Saver:
 
 
 def _write(folder: Path, snapshot: "Snapshot") -> None:
-    from echogrid.mapfile import write_map
+    from echogrid.output.mapfile import write_map
 
     write_map(folder, snapshot.grid, snapshot.path, snapshot.settings, snapshot.title)
 

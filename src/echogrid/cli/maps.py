@@ -15,9 +15,11 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from echogrid.cli.arguments import Ros, bar, open_log, print_notes
 from echogrid.errors import InputError, UsageError
 from echogrid.files import made, replacing
+from echogrid.frame import Frame, Track
 from echogrid.grid import Grid
-from echogrid.log import Frame, Track, describe
-from echogrid.readers import bag, load_log
+from echogrid.logs import bag
+from echogrid.logs.contents import describe
+from echogrid.logs.formats import load_log
 from echogrid.robot import Robot, robot_yaml
 
 
@@ -71,11 +73,11 @@ class Map:
 
     def run(self) -> None:
         """Map the log and write the folder."""
-        from echogrid.interpret import Network
-        from echogrid.mapfile import write_map
-        from echogrid.mapping import build_map
-        from echogrid.models import sensor_model
-        from echogrid.set_network import SetNetwork
+        from echogrid.mapping.build import build_map
+        from echogrid.models.network import Network
+        from echogrid.models.set_network import SetNetwork
+        from echogrid.models.table import sensor_model
+        from echogrid.output.mapfile import write_map
 
         if self.resolution is not None and not 0.005 <= self.resolution <= 10:
             raise UsageError(f"--resolution: found {self.resolution:g}, expected 0.005 to 10 m")
@@ -130,21 +132,21 @@ class Map:
     def _followers(self, robot: Robot, title: str, stack: ExitStack) -> Iterator[_Follower]:
         """What the options ask for beside the map; their files are whole when the stack is closed."""
         if self.view:
-            from echogrid.page import Page
+            from echogrid.output.page import Page
 
             yield Page(stack.enter_context(replacing(self.out / "map.html")), robot, title)
         if self.mcap:
-            from echogrid.recording import Recorder
+            from echogrid.output.recorder import Recorder
 
             yield stack.enter_context(Recorder(self.out / "map.mcap", robot))
         if self.rerun:
-            from echogrid.viewer import Viewing
+            from echogrid.output.viewer import Viewing
 
             yield stack.enter_context(Viewing(self.out / "map.rrd", robot))
 
     def _show(self) -> None:
         """Show map.rrd until Ctrl-C."""
-        from echogrid.viewer import served
+        from echogrid.output.viewer import served
 
         for sign in (signal.SIGTERM, signal.SIGHUP):  # whoever ends us, Rerun is to end with us
             signal.signal(sign, signal.default_int_handler)
@@ -224,8 +226,8 @@ class Score:
 
     def run(self) -> None:
         """Print the scores."""
-        from echogrid.mapfile import read_map, read_truth
         from echogrid.metrics import score
+        from echogrid.output.mapfile import read_map, read_truth
 
         for name, value in asdict(score(read_map(self.map), read_truth(self.truth))).items():
             print(f"{name:13} {value}" if isinstance(value, int) else f"{name:13} {value:.4f}")

@@ -9,13 +9,13 @@ from typing import Annotated, Literal
 import numpy as np
 from tyro.conf import Positional, arg
 
-from echogrid.acoustics import Physics
 from echogrid.cli.arguments import WORLD, bar, check_physics, check_seed
 from echogrid.errors import UsageError
 from echogrid.files import replacing, unwritable
-from echogrid.log import Frame
+from echogrid.frame import Frame
 from echogrid.robot import TRANSDUCERS, Robot
-from echogrid.world import World
+from echogrid.simulation.acoustics import Physics
+from echogrid.simulation.world import World
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ class Simulate:
 
     def run(self) -> None:
         """Write the log and its truth."""
-        from echogrid.drive import along, read_waypoints, tour, truth_of
-        from echogrid.mapfile import write_truth
-        from echogrid.readers.csv_log import write_csv
-        from echogrid.simulate import Simulator
+        from echogrid.logs.csv_log import write_csv
+        from echogrid.output.mapfile import write_truth
+        from echogrid.simulation.drive import along, read_waypoints, tour, truth_of
+        from echogrid.simulation.simulate import Simulator
 
         check_physics(self.physics)
         check_seed(self.seed)
@@ -85,8 +85,8 @@ class Scan:
 
     def run(self) -> None:
         """Write the scan."""
-        from echogrid.picture import write_scan
-        from echogrid.simulate import rotary_scan
+        from echogrid.output.picture import write_scan
+        from echogrid.simulation.simulate import rotary_scan
 
         check_physics(self.physics)
         world = World.load(self.world).with_walls(self.walls)
@@ -129,8 +129,8 @@ class Train:
 
     def run(self) -> None:
         """Write the weights."""
-        from echogrid.set_training import SetRecipe
-        from echogrid.train import Recipe, train
+        from echogrid.training.set_training import SetRecipe
+        from echogrid.training.train import Recipe, train
 
         for name in ("drives", "epochs"):
             if getattr(self, name) < 1:

@@ -1,0 +1,90 @@
+"""Frames and logs: the one form in which readings enter, recorded or simulated."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from math import hypot
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from echogrid.errors import InputError
+from echogrid.robot import Robot
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """All sonars of a robot at one instant.
+
+    A range of ``+inf`` means fired and nothing came back; ``nan`` means not fired or not valid. A finite
+    range lies within the robot's limits; nothing downstream compares with a maximum range.
+    """
+
+    stamp: float
+    """Time, s."""
+    pose: Float[ndarray, "3"]
+    """Robot in the world: x (m), y (m), theta (rad)."""
+    ranges: Float[ndarray, "sonars"]
+    """One reading a sonar, m, in the order of the robot's mounts."""
+    odom: Float[ndarray, "3"] | None = None
+    """Dead-reckoned pose where the log has one besides the pose, same units."""
+    mounts: Float[ndarray, "sonars 3"] | None = None
+    """Where each sonar was when it fired, as seen from ``pose``: m, m, rad. None: all fired at the stamp, from
+    the robot's own mounts."""
+
+
+class Track:
+    """A drive of any length, kept to a bounded number of points."""
+
+    _MOST, _SPACING_M = 4000, 0.02
+
+    def __init__(self) -> None:
+        self._points: list[tuple[float, float]] = []
+        self._spacing = self._SPACING_M
+
+    def add(self, frame: Frame) -> None:
+        """Go on to a frame's pose."""
+        x, y = float(frame.pose[0]), float(frame.pose[1])
+        if self._points and hypot(x - self._points[-1][0], y - self._points[-1][1]) < self._spacing:
+            return
+        self._points.append((x, y))
+        if len(self._points) > self._MOST:
+            self._points = self._points[::2]
+            self._spacing *= 2
+
+    def points(self) -> Float[ndarray, "n 2"]:
+        """x, y of the points, m, world."""
+        return np.array(self._points).reshape(-1, 2)
+
+
+@dataclass(frozen=True)
+class Log:
+    """A sequence of frames that can be gone through again and again, read lazily where it lies in a file."""
+
+    name: str
+    """Where the frames come from, for messages."""
+    sonars: int
+    """Number of readings in each frame."""
+    robot: Robot | None
+    """The robot whose limits the ranges keep: the one that the log was loaded with, else the one that the
+    log itself describes (CARMEN), else None."""
+    open: Callable[[], Iterator[Frame]]
+    """Starts again at the first frame."""
+    notes: dict[str, int] = field(default_factory=dict)
+    """What was left out or assumed when the log was last gone through, and how often; 0 where that says nothing."""
+
+    def __iter__(self) -> Iterator[Frame]:
+        return self.open()
+
+    @staticmethod
+    def of(frames: Iterable[Frame], name: str = "frames") -> "Log":
+        """A log of frames in memory.
+
+        Raises:
+            InputError: the frames differ in their number of readings.
+        """
+        kept = tuple(frames)
+        sonars = sorted({len(frame.ranges) for frame in kept})
+        if len(sonars) > 1:
+            raise InputError(name, f"frames of {sonars[0]} and of {sonars[-1]} readings", "one number")
+        return Log(name, sonars[0] if sonars else 0, None, lambda: iter(kept))

@@ -1,0 +1,1 @@
+"""What a robot that drives now needs: its messages over DDS in, maps out."""

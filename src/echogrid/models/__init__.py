@@ -1,0 +1,1 @@
+"""Sensor models: what readings say of cells, and how each kind of model is fused into a map."""

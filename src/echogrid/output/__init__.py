@@ -1,0 +1,1 @@
+"""What becomes of a map and its drive: files, pictures, pages."""

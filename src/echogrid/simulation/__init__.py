@@ -1,0 +1,1 @@
+"""Sound and rooms: worlds, drives through them, and what sonars hear there."""

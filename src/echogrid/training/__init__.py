@@ -1,0 +1,1 @@
+"""Weights from nothing: simulated drives to learn from, and back-propagation."""
