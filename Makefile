@@ -35,28 +35,28 @@ format: $(READY)  ## put the code into shape
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-bench: $(READY)  ## speed and memory (about 12 minutes; benchmarks/live.py hour takes 8 more)
-	$(BIN)/python benchmarks/simulator.py
-	$(BIN)/python benchmarks/mapping.py
-	$(BIN)/python benchmarks/models.py
-	$(BIN)/python benchmarks/memory.py
-	$(BIN)/python benchmarks/bags.py
-	$(BIN)/python benchmarks/live.py latency
+bench: $(READY)  ## speed and memory (about 12 minutes; python -m benchmarks.live hour takes 8 more)
+	$(BIN)/python -m benchmarks.simulator
+	$(BIN)/python -m benchmarks.mapping
+	$(BIN)/python -m benchmarks.models
+	$(BIN)/python -m benchmarks.memory
+	$(BIN)/python -m benchmarks.bags
+	$(BIN)/python -m benchmarks.live latency
 
 study: $(READY)  ## score both networks and the cone on held-out rooms (about 10 minutes)
-	$(BIN)/python experiments/held_out.py --resolution 0.04 set-network network cone
+	$(BIN)/python -m experiments.paper.held_out --resolution 0.04 set-network network cone
 
 paper: $(READY)  ## the paper's figures, every model beside the network, and docs/results.md (about 30 minutes)
-	$(BIN)/python experiments/figures_2_3_4.py
-	$(BIN)/python experiments/figure_5.py
-	$(BIN)/python experiments/beams.py
-	$(BIN)/python experiments/figures_6_to_9.py
-	$(BIN)/python experiments/corridor8_map.py
-	$(BIN)/python experiments/ablation.py & ablation=$$!; \
-	$(BIN)/python experiments/held_out.py --record held_out && \
-	$(BIN)/python experiments/held_out.py --robot p3dx --rooms 8 --record held_out_p3dx && wait $$ablation
-	$(BIN)/python benchmarks/models.py --record
-	$(BIN)/python experiments/results.py
+	$(BIN)/python -m experiments.paper.figures_2_3_4
+	$(BIN)/python -m experiments.paper.figure_5
+	$(BIN)/python -m experiments.paper.beams
+	$(BIN)/python -m experiments.paper.figures_6_to_9
+	$(BIN)/python -m experiments.paper.corridor8_map
+	$(BIN)/python -m experiments.paper.ablation & ablation=$$!; \
+	$(BIN)/python -m experiments.paper.held_out --record held_out && \
+	$(BIN)/python -m experiments.paper.held_out --robot p3dx --rooms 8 --record held_out_p3dx && wait $$ablation
+	$(BIN)/python -m benchmarks.models --record
+	$(BIN)/python -m experiments.paper.results
 
 peers:  ## install what tests talk to and skip without: rosbag, Fast DDS, Chromium (Debian packages, as root or sudo)
 	tests/peers/install.sh
@@ -68,7 +68,7 @@ mrpt:  ## build the MRPT peer for make paper and make bench (Debian packages, as
 	benchmarks/mrpt/install.sh
 
 generalise: $(READY)  ## measure the set network on rooms, arrays and physics it has not seen (about 20 minutes)
-	$(BIN)/python experiments/generalise.py
+	$(BIN)/python -m experiments.studies.generalise
 
 weights: $(READY)  ## train the weights that ship (about 40 minutes on 2 cores)
 	$(BIN)/echogrid train --robot any --out src/echogrid/weights/set.npz

@@ -1,7 +1,9 @@
 """echogrid live on one core, a robot on Fast DDS playing to it over loopback: latency, and memory over an hour.
 
-    live.py latency    two minutes in real time: from the last range of a scan sent to the local map received
-    live.py hour       36,000 scans eight times faster than real time: memory each ten minutes of the drive
+    python -m benchmarks.live [latency | hour]
+
+``latency``: two minutes in real time, from the last range of a scan sent to the local map received. ``hour``: 36,000
+scans eight times faster than real time, memory each ten minutes of the drive.
 
 Targets with 24 sonars at 10 Hz: a median under 20 ms, and memory that is flat. Needs Debian's fastddsgen and
 libfastrtps-dev, and the right to make a network namespace (as the tests do).

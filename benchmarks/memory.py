@@ -8,8 +8,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+from benchmarks.mapping import long_log
 from echogrid.logs.csv_log import write_csv
-from mapping import long_log
 
 RUN = """
 import resource, sys

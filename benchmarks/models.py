@@ -1,23 +1,20 @@
 """Speed of each sensor model on the same B21 log, in one run, start-up apart; and of MRPT where it is built.
 
-    python benchmarks/models.py [--record]
+    python -m benchmarks.models [--record]
 
 With --record the figures also go to docs/paper/speed.json.
 """
 
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 
+from benchmarks.mapping import long_log
+from benchmarks.mrpt import available, mrpt_map
 from echogrid import Log, Robot, build_map
 from echogrid.models.table import MODELS, sensor_model
-from mapping import long_log
-from mrpt import available, mrpt_map
-
-sys.path.append(str(Path(__file__).parent.parent / "experiments"))
-from paper import record
+from experiments.common.report import record
 
 SCANS, RUNS, RESOLUTION = 2000, 3, 0.12
 

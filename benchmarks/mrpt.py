@@ -155,7 +155,8 @@ def main() -> None:
     if not available():
         print("mrpt: not built (benchmarks/mrpt/install.sh)")
         return
-    from mapping import RUNS, SCANS, long_log  # it imports JAX, which who imports this module may do without
+    # It imports JAX, which who imports this module may do without.
+    from benchmarks.mapping import RUNS, SCANS, long_log
 
     robot, frames = Robot.load("b21"), list(long_log(SCANS))
     print(f"mrpt: {version()}, {SCANS} scans of {robot.sonars} sonars, cells of 0.12 m, one thread")

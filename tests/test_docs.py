@@ -1,4 +1,5 @@
 import io
+import pkgutil
 import re
 import shlex
 import subprocess
@@ -17,6 +18,8 @@ from echogrid.cli import COMMANDS, main
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+NAMING = [*PAGES, *(ROOT / name for name in ("CONTRIBUTING.md", "CHANGELOG.md", "Makefile"))]
+"""What names files and modules of the repository."""
 
 BLOCK = re.compile(r"^```(\w+) ?(\S*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 """Kind, name of the file that it stands for (or none), content. Of kind console it is run; of kind sh only parsed."""
@@ -110,6 +113,36 @@ def test_every_link_and_picture_is_there(page):
         if not target.is_file() or (part and part not in anchors(target)):
             missing.append(link)
     assert missing == []
+
+
+def is_there(name):
+    """Whether a module, or what it holds, is there; of experiments and benchmarks only whether the file is."""
+    if not name.startswith("echogrid."):
+        path = ROOT / name.replace(".", "/")
+        return path.with_suffix(".py").is_file() or (path / "__main__.py").is_file()
+    try:
+        pkgutil.resolve_name(name)
+    except (ImportError, AttributeError):
+        return False
+    return True
+
+
+@pytest.mark.parametrize("page", NAMING, ids=named)
+def test_every_file_and_module_that_is_named_is_there(page):
+    text = page.read_text(encoding="utf-8")
+    paths = re.findall(r"(?<![\w./-])(?:src|tests|experiments|benchmarks|docs)/[\w./*-]*\w", text)
+    missing = [path for path in paths if not list(ROOT.glob(path))]
+    files = [code for code in INLINE.findall(text) if re.fullmatch(r"(?:\w+/)*\w+\.py", code) and code not in paths]
+    folders = [ROOT / name for name in ("src", "tests", "experiments", "benchmarks")]
+    missing += [file for file in files if not any(any(folder.rglob(file)) for folder in folders)]
+    modules = re.findall(r"(?<![\w./-])(?:echogrid|experiments|benchmarks)(?:\.[A-Za-z]\w*)+", text)
+    missing += [module for module in modules if not is_there(module)]
+    assert missing == []
+
+
+def test_figures_are_small_and_in_pixels():
+    assert [named(path) for path in DOCS.rglob("*.svg")] == []
+    assert [named(path) for path in DOCS.rglob("*.png") if path.stat().st_size > 300_000] == []
 
 
 def test_every_page_is_in_the_navigation_and_can_be_reached():

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from echogrid.errors import UsageError
-from echogrid.grid import P_MAX, P_MIN, Grid, GrowingGrid, covered, logit, sigmoid
+from echogrid.grid import P_MAX, P_MIN, Grid, GrowingGrid, covered, logit, sigmoid, span
 
 resolutions = st.sampled_from([0.05, 0.1, 0.12, 0.25, 1.0])
 origins = st.tuples(st.floats(-50, 50), st.floats(-50, 50))
@@ -85,6 +85,29 @@ def test_a_map_without_cells_knows_nothing_anywhere():
     assert grid.shape == (0, 0)
     assert grid.origin == (0, 0)
     np.testing.assert_array_equal(grid.probability_at(np.array([[0.0, 0.0], [3.0, 4.0]])), 0.5)
+
+
+@given(arrays(bool, st.tuples(st.integers(1, 6), st.integers(1, 7))), resolutions, origins, st.booleans())
+def test_the_observed_part_is_the_smallest_that_holds_all_that_was_observed(observed, resolution, origin, counted):
+    log_odds = np.arange(observed.size, dtype=np.float32).reshape(observed.shape)
+    grid = Grid(log_odds, observed, resolution, origin, log_odds.astype(np.int32) if counted else None)
+    part, cells = grid.observed_part(), np.argwhere(observed)
+    assert (part is None) == (not len(cells))
+    if part is None:
+        return
+    assert part.shape == tuple(np.ptp(cells, axis=0) + 1)
+    np.testing.assert_array_equal(np.argwhere(part.observed), cells - cells.min(axis=0))
+    np.testing.assert_array_equal(part.log_odds[part.observed], log_odds[observed])
+    there = part.centre_of(np.argwhere(part.observed))
+    np.testing.assert_allclose(there, grid.centre_of(cells), atol=1e-9)
+    assert (part.views is None) == (grid.views is None)
+    for mine, whole in ((part.log_odds, log_odds), (part.observed, observed), (part.views, grid.views)):
+        assert whole is None or np.shares_memory(mine, whole)
+
+
+def test_a_span_goes_from_the_first_that_is_marked_to_the_last():
+    assert span(np.array([False, True, False, True, False])) == slice(1, 4)
+    assert span(np.zeros(3, dtype=bool)) == slice(0, 0)
 
 
 def view(rng, low=-20, high=20):

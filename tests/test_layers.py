@@ -1,4 +1,5 @@
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,16 +12,18 @@ PACKAGE = Path(echogrid.__file__).parent
 
 # The rooms along the way of the data. A room imports only from rooms before it, a module only from modules before it.
 PLAN = {
-    "": "errors geometry files robot frame grid metrics",
-    "simulation": "regions world acoustics rooms drive echo simulate",
-    "ros": "transforms scans messages",
-    "logs": "lines csv_log carmen bag_file bag_survey bag formats contents",
-    "models": "memory network set_network beam classical calculi em table",
+    "": "errors geometry files keys robot frame grid metrics",
+    "simulation": "regions targets world acoustics rooms drive echo simulate",
+    "ros": "rigid transforms array scans messages",
+    "bags": "streamed definitions bag_file events topics survey mounts plan bag",
+    "logs": "lines rows csv_log carmen formats contents",
+    "models": "batches model weights memory set_layers polar_map set_network local_map network "
+    "beam sweep classical calculi em table",
     "mapping": "mapper build",
-    "training": "examples lessons train set_training",
-    "output": "picture map_server mapfile recorder page viewer",
-    "live": "live_map dds",
-    "cli": "arguments maps simulation live",
+    "training": "drives descent examples paper_training lessons set_training",
+    "output": "follower map_picture scan_picture map_server mapfile mcap_file recording page rerun_file rerun_server",
+    "live": "sonar_array hearing live_map session sockets dds_types dds",
+    "cli": "arguments info maps simulation live",
 }
 ORDER = [f"{room}.{name}".strip(".") for room, names in PLAN.items() for name in [*names.split(), ""] if room or name]
 
@@ -114,3 +117,9 @@ def test_every_name_that_the_package_offers_is_there():
         assert getattr(echogrid, name).__module__.startswith("echogrid.")
     with pytest.raises(AttributeError, match="module 'echogrid' has no attribute 'sonar'"):
         echogrid.sonar  # noqa: B018
+
+
+def test_the_picture_for_contributors_is_the_plan():
+    text = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rooms = [line.split("  ")[0].strip() for line in re.findall(r"^ {4}(\S.*)$", text, re.MULTILINE)]
+    assert rooms == ["ground floor", *(room for room in PLAN if room)]

@@ -1,7 +1,4 @@
-"""Writing files whole or not at all.
-
-A module of its own because readers and map files both write, and neither may import the other.
-"""
+"""Files: written whole or not at all, read only where they are plain ones, and how messages name them."""
 
 import os
 import secrets
@@ -85,3 +82,8 @@ def read_bytes(path: Path, expected: str, limit: int) -> bytes:
         return plain_file(path, expected, limit).read_bytes()
     except OSError as error:
         raise InputError(path, error.strerror or str(error), expected) from None
+
+
+def printable(path: Path) -> str:
+    """The path as it may be shown on a terminal; a name with control characters is quoted."""
+    return str(path) if str(path).isprintable() else repr(str(path))

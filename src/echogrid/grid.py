@@ -29,6 +29,12 @@ def sigmoid(log_odds: Float[ndarray, "*n"] | float) -> Float[ndarray, "*n"]:
     return np.asarray(0.5 * (1.0 + np.tanh(0.5 * np.asarray(log_odds))))
 
 
+def span(marked: Bool[ndarray, "n"]) -> slice:
+    """From the first that is marked to the last; empty if none is."""
+    at = np.flatnonzero(marked)
+    return slice(int(at[0]), int(at[-1]) + 1) if at.size else slice(0, 0)
+
+
 @dataclass(frozen=True)
 class Grid:
     """An occupancy grid. Arrays are indexed ``[row, col]``; row 0 is the lowest y, col 0 the lowest x."""
@@ -90,6 +96,16 @@ class Grid:
         log_odds[target], observed[target] = self.log_odds[source], self.observed[source]
         x, y = np.asarray(self.origin) + first[::-1] * self.resolution
         return Grid(log_odds, observed, self.resolution, (float(x), float(y)))
+
+    def observed_part(self) -> "Grid | None":
+        """The smallest rectangle that holds all that was observed, as views of the arrays; None if nothing was."""
+        rows, cols = (span(self.observed.any(axis=axis)) for axis in (1, 0))
+        if rows.start == rows.stop:
+            return None
+        x, y = self.origin
+        origin = x + float(cols.start) * self.resolution, y + float(rows.start) * self.resolution
+        views = None if self.views is None else self.views[rows, cols]
+        return Grid(self.log_odds[rows, cols], self.observed[rows, cols], self.resolution, origin, views)
 
     def refined(self) -> "Grid":
         """The final refinement by a 3x3 neighbourhood mask of the paper's earlier system.

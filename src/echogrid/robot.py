@@ -1,8 +1,5 @@
 """Robots and their transducers: what they are, and the YAML files that describe them."""
 
-import re
-import reprlib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -14,6 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.errors import InputError, UsageError
+from echogrid.keys import Keys, parse_yaml, shown
 
 MAX_SONARS = 512
 
@@ -102,89 +100,6 @@ def preset_names() -> list[str]:
     """Names of the robots that ship with the package."""
     folder = resources.files("echogrid") / "robots"
     return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
-
-
-def parse_yaml(text: str, where: str) -> dict[Any, Any]:
-    """Parse YAML whose top level is a mapping; a key may be of any kind.
-
-    Raises:
-        InputError: not YAML, or not such a mapping; the message carries the line.
-    """
-    try:
-        data = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f":{mark.line + 1}" if mark else ""
-        problem = str(getattr(error, "problem", None) or "text that is not YAML").removeprefix("found ")
-        raise InputError(f"{where}{line}", problem, "YAML") from None
-    except Exception:  # PyYAML lets out errors of many kinds for tags whose value does not fit
-        raise InputError(where, "a value that does not fit its tag, or nested too deep", "YAML") from None
-    if not isinstance(data, dict):
-        raise InputError(where, shown(data), "a mapping of keys to values")
-    return data
-
-
-class Keys:
-    """Typed access to a parsed mapping; every failure names the file and the key."""
-
-    def __init__(self, where: str, data: object, prefix: str = "", allowed: frozenset[str] | None = None):
-        if not isinstance(data, Mapping):
-            raise InputError(f"{where}: {prefix}".removesuffix(": "), shown(data), "a mapping")
-        self.where, self.data, self.prefix = where, data, prefix
-        unknown = [key for key in data if allowed is not None and key not in allowed]
-        if unknown:
-            raise InputError(self.at(str(unknown[0])), "an unknown key", f"one of {', '.join(sorted(allowed or ()))}")
-
-    def at(self, key: str) -> str:
-        """The place of a key, for a message."""
-        return f"{self.where}: {self.prefix}.{key}" if self.prefix else f"{self.where}: {key}"
-
-    def take(self, key: str) -> Any:
-        """The value of a key that must be there."""
-        if key not in self.data:
-            raise InputError(self.at(key), "nothing", "this key")
-        return self.data[key]
-
-    def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
-        """A number in [low, high]."""
-        if default is not None and key not in self.data:
-            return default
-        return as_number(self.take(key), low, high, self.at(key))
-
-    def text(self, key: str) -> str:
-        """A text that is not empty."""
-        value = self.take(key)
-        if not isinstance(value, str) or not value or not value.isprintable():
-            raise InputError(self.at(key), shown(value), "a printable text")
-        return value
-
-    def rows(self, key: str, width: int, low: float, high: float, least: int = 1) -> Float[ndarray, "n width"]:
-        """A list of at least ``least`` rows of ``width`` numbers in [low, high]."""
-        value = self.take(key)
-        if not isinstance(value, list) or len(value) < least:
-            raise InputError(self.at(key), shown(value), f"a list of {least} or more rows")
-        for i, row in enumerate(value):
-            if not isinstance(row, list) or len(row) != width:
-                raise InputError(f"{self.at(key)}[{i}]", shown(row), f"{width} numbers")
-        return np.array(
-            [[as_number(v, low, high, f"{self.at(key)}[{i}]") for v in row] for i, row in enumerate(value)]
-        )
-
-
-def as_number(value: object, low: float, high: float, where: str) -> float:
-    """A finite number in [low, high], or an InputError that names the place."""
-    if isinstance(value, str) and re.fullmatch(r"[-+]?\d+[eE][-+]?\d+", value):
-        value = float(value)  # YAML 1.1 takes 1e-1 for a text
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(where, shown(value), "a number")
-    if not low <= value <= high:
-        raise InputError(where, shown(value), f"a number from {low:g} to {high:g}")
-    return float(value)
-
-
-def shown(value: object) -> str:
-    """A value from a file as a short text for a message."""
-    return "nothing" if value is None else reprlib.repr(value)
 
 
 def parse_robot(text: str, where: str) -> Robot:

@@ -1,18 +1,14 @@
 import subprocess
-import sys
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy import inf, nan
 
+from benchmarks import mrpt
 from echogrid import Frame, Robot
 from echogrid.errors import UsageError
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-mrpt = import_module("mrpt")
 
 built = pytest.mark.skipif(not mrpt.available(), reason="MRPT's harness is not built (benchmarks/mrpt/install.sh)")
 

@@ -1,7 +1,4 @@
-import sys
 from dataclasses import replace
-from importlib import import_module
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +7,7 @@ from numpy import inf, nan
 from echogrid import Robot, World
 from echogrid.errors import UsageError
 from echogrid.simulation.world import ROUGH_M, SMOOTH_M, polyline
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "experiments"))
-mujoco_sonar = import_module("mujoco_sonar")
+from experiments.common import mujoco_sonar
 
 ROBOT = replace(Robot.load("b21"), mounts=np.zeros((1, 3)), min_range_m=0.2, max_range_m=5.0)
 """One sonar, at the pose."""

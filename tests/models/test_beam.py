@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from echogrid.frame import Frame
 from echogrid.mapping.build import build_map
-from echogrid.mapping.mapper import WINDOW_M
-from echogrid.models.beam import Reading, margin_cells, reading_of, square_side, sweeper
+from echogrid.models.batches import WINDOW_M
+from echogrid.models.sweep import Reading, ReadingModel, margin_cells, reading_of, square_side, sweeper
 from echogrid.robot import TRANSDUCERS, Robot
 
 B21 = Robot.load("b21")
@@ -18,7 +18,7 @@ CELL_M = 0.1
 
 
 @dataclass(frozen=True)
-class Probe:
+class Probe(ReadingModel):
     """Writes down what it is shown of each cell of the cone, and how often it is shown the cell."""
 
     reach_m: float = 2.0

@@ -12,11 +12,13 @@ from scipy.special import j1
 
 from echogrid.frame import Frame
 from echogrid.mapping.build import build_map
-from echogrid.models.beam import Beam, ReadingModel
+from echogrid.models.beam import Beam
 from echogrid.models.calculi import DempsterShafer, Fuzzy, Himm, MoravecElfes
 from echogrid.models.classical import Cone, ConeNoEcho, Elfes, LimCho, Muriel, Nav2, Nav2Clearing, Nav2Tuned
 from echogrid.models.em import ForwardModel
-from echogrid.models.table import MODELS, Model
+from echogrid.models.model import Model
+from echogrid.models.sweep import ReadingModel
+from echogrid.models.table import MODELS
 from echogrid.robot import TRANSDUCERS, Robot
 
 SIDE, CELL_M = 41, 0.1

@@ -83,7 +83,7 @@ def cones_of(model, robot, frames):
     poses, ranges = (
         np.array(column, dtype=float) for column in zip(*((f.pose, f.ranges) for f in frames), strict=True)
     )
-    return model._cones(robot, poses, ranges, LOW, SHAPE, CELL_M)
+    return model.cones(robot, poses, ranges, LOW, SHAPE[1], CELL_M)
 
 
 def as_array(occupied):
@@ -95,7 +95,7 @@ def as_array(occupied):
 
 def found(model, robot, frames):
     """Log-odds on the map of the tests, and the occupied cells."""
-    (grid,) = model.maps(frames, robot, CELL_M)
+    (grid,) = build_map(frames, robot, model, CELL_M)
     log_odds = np.zeros(SHAPE)
     for index in np.argwhere(grid.observed):
         row, col = np.rint(np.array(grid.origin[::-1]) / CELL_M).astype(int) + index - LOW
@@ -263,7 +263,7 @@ def test_equally_good_causes_do_not_keep_the_search_from_ending(monkeypatch):
 
     monkeypatch.setattr(ForwardModel, "_flips", counted)
     for z in (0.6, 1.05, 1.45):
-        (grid,) = model.maps([frame(0, 0, 0, [z])], replace(robot, max_range_m=5.0), 0.1)
+        (grid,) = build_map([frame(0, 0, 0, [z])], replace(robot, max_range_m=5.0), model, 0.1)
         assert 0 <= np.sum(grid.log_odds > bar(model)) <= 1
 
 
@@ -285,7 +285,7 @@ def test_missing_echoes_are_left_out_if_they_are_not_used():
 
 def test_no_cell_beyond_the_maximum_range_is_told_of():
     short = replace(TWO, max_range_m=0.8)
-    (grid,) = MODEL.maps([frame(0.1, 0.1, 0.0, [inf, inf])], short, CELL_M)
+    (grid,) = build_map([frame(0.1, 0.1, 0.0, [inf, inf])], short, MODEL, CELL_M)
     x, y = np.moveaxis(grid.centre_of(np.argwhere(grid.observed)), -1, 0)
     distance = np.minimum(np.hypot(x - 0.15, y - 0.12), np.hypot(x - 0.13, y - 0.06))
     assert distance.max() <= 0.8

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from echogrid.errors import EchogridError, InputError, UsageError
 from echogrid.geometry import wrap
-from echogrid.mapping.build import local_cells
+from echogrid.models.local_map import local_cells
+from echogrid.models.model import LOOK_RAD
 from echogrid.models.network import (
     LIMIT,
-    LOOK_RAD,
     MOST_ZONE,
     Layers,
     Network,

@@ -16,37 +16,38 @@ from echogrid.errors import EchogridError, InputError, UsageError
 from echogrid.frame import Frame
 from echogrid.geometry import wrap
 from echogrid.mapping import mapper
-from echogrid.mapping.build import build_map, cell_of
-from echogrid.mapping.mapper import BATCH, FINE_CELL_M, WINDOW_M
-from echogrid.models import set_network
+from echogrid.mapping.build import build_map
+from echogrid.models import batches, set_network
+from echogrid.models.batches import BATCH, WINDOW_M
 from echogrid.models.memory import FAR_M, TRAITS, Memory
-from echogrid.models.network import LOOK_RAD, Layers, Network, inputs
-from echogrid.models.set_network import (
-    AT_M,
+from echogrid.models.model import LOOK_RAD
+from echogrid.models.network import Layers, Network, inputs
+from echogrid.models.polar_map import (
     BEARINGS,
-    CAUTION,
-    FORMAT,
-    LIMIT,
     REACH_M,
     RING_M,
     RINGS,
+    UNDER,
+    _bearing_of,
+    array_of,
+    local_map,
+    view,
+)
+from echogrid.models.set_layers import (
+    AT_M,
+    LIMIT,
     RINGS_M,
     STEPS_M,
     TOKENS,
-    UNDER,
-    SetNetwork,
     Tokens,
-    _bearing_of,
     along,
-    array_of,
     encode,
     evidence,
     fused,
     initial,
-    local_map,
     nearest,
-    view,
 )
+from echogrid.models.set_network import CAUTION, FORMAT, SetNetwork
 from echogrid.models.table import sensor_model
 from echogrid.robot import Robot
 from echogrid.training.lessons import Lessons
@@ -599,7 +600,7 @@ def wandering(count):
 def test_the_map_does_not_depend_on_what_is_interpreted_together(monkeypatch):
     frames = wandering(BATCH + 9)
     whole = on_world(map_of(frames))
-    monkeypatch.setattr(mapper, "BATCH", 20)
+    monkeypatch.setattr(batches, "BATCH", 20)
     other = on_world(map_of(frames))
     np.testing.assert_allclose(other[0], whole[0], atol=1e-3)
     assert np.mean(other[1] != whole[1]) < 1e-4
@@ -632,9 +633,8 @@ def test_the_cells_of_its_map_are_fine_unless_others_are_asked_for(monkeypatch):
     monkeypatch.setattr(mapper, "GrowingGrid", lambda resolution, _: asked.append(resolution))
     for resolution in (None, COARSE_M):
         assert list(build_map([], ROBOT, plain_network(), resolution)) == []
-    assert asked == [FINE_CELL_M, COARSE_M]
-    assert cell_of(random_network()) == FINE_CELL_M
-    assert cell_of(sensor_model("cone")) != FINE_CELL_M
+    assert asked == [0.04, COARSE_M]
+    assert sensor_model("cone").cell_m > random_network().cell_m == 0.04
 
 
 def test_scans_in_which_no_sonar_fired_leave_only_the_floor_under_the_robot():

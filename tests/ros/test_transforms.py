@@ -1,5 +1,5 @@
 import random
-from math import cos, inf, nan, pi, sin
+from math import inf, nan, pi
 
 import numpy as np
 import pytest
@@ -8,62 +8,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from echogrid.ros import transforms
-from echogrid.ros.transforms import IDENTITY, Rigid, Transforms, compose, inverse, planar, slope
+from echogrid.ros.rigid import IDENTITY
+from echogrid.ros.transforms import Transforms
+from rigid_samples import angles, assert_same, matrix, numbers, rigids, yawed
 
 FLAT = (0.0, 0.0, 0.0, 1.0)
-
-numbers = st.floats(-50.0, 50.0).map(lambda value: round(value, 6))
-unit = st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1)
 few = settings(max_examples=40)
-rigids = st.builds(
-    lambda t, q: Rigid(tuple(t), tuple((np.array(q) / np.linalg.norm(q)).tolist())), st.tuples(*[numbers] * 3), unit
-)
-angles = st.floats(-pi, pi)
-
-
-def matrix(rigid):
-    out = np.eye(4)
-    out[:3, :3] = Rotation.from_quat(rigid.rotation).as_matrix()
-    out[:3, 3] = rigid.translation
-    return out
-
-
-def yawed(yaw, pitch=0.0, roll=0.0):
-    return tuple(Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_quat().tolist())
-
-
-def assert_same(found, expected, atol=1e-9):
-    np.testing.assert_allclose(matrix(found), expected, atol=atol)
-
-
-@given(rigids, rigids)
-@few
-def test_poses_are_chained_as_matrices_are(a, b):
-    assert_same(compose(a, b), matrix(a) @ matrix(b))
-
-
-@given(rigids)
-@few
-def test_a_pose_and_its_inverse_are_nothing(a):
-    assert_same(compose(a, inverse(a)), np.eye(4))
-    assert_same(inverse(a), np.linalg.inv(matrix(a)))
-
-
-@given(rigids, rigids, rigids)
-@few
-def test_it_does_not_matter_which_two_of_three_poses_are_chained_first(a, b, c):
-    assert_same(compose(compose(a, b), c), matrix(compose(a, compose(b, c))))
-
-
-@given(rigids)
-@few
-def test_in_the_plane_a_pose_looks_where_its_x_axis_points(a):
-    ahead = matrix(a)[:3, 0]
-    x, y, bearing = planar(a)
-    assert (x, y) == a.translation[:2]
-    flat = np.hypot(*ahead[:2])
-    np.testing.assert_allclose(flat * np.array([cos(bearing), sin(bearing)]), ahead[:2], atol=1e-9)
-    assert slope(a) == pytest.approx(ahead[2], abs=1e-9)
 
 
 def turned_by(one, other):

@@ -10,7 +10,8 @@ from echogrid.robot import TRANSDUCERS, Robot
 from echogrid.simulation.acoustics import Physics, absorption, acoustics, bessel_beam, speed_of_sound
 from echogrid.simulation.echo import FAN_RAD
 from echogrid.simulation.simulate import RAYS, Simulator, disturb, passers_by, rotary_scan, sonar_poses
-from echogrid.simulation.world import ROUGH_M, Cylinder, Edge, World, polyline
+from echogrid.simulation.targets import Cylinder, Edge
+from echogrid.simulation.world import ROUGH_M, World, polyline
 
 FINE = 4 * RAYS - 1
 FRAMES = 64

@@ -12,15 +12,16 @@ from echogrid.simulation.drive import truth_of
 from echogrid.simulation.rooms import SHAPES, random_world
 from echogrid.simulation.simulate import sonar_poses
 from echogrid.simulation.world import World, polyline
+from echogrid.training import drives
 from echogrid.training import lessons as making
 from echogrid.training.lessons import (
     FRAMES,
+    KIND,
     MOST_SONARS,
     NEAR_M,
     NEAR_SHARE,
     POINTS,
     REACH_M,
-    SHAPE_SHARES,
     TRUTH_M,
     lessons,
     random_way,
@@ -36,7 +37,7 @@ SURFACES, NEAR, FAR, BEHIND, DEEP = np.split(np.arange(sum(POINTS)), np.cumsum(P
 def small_chunks():
     """Few drives are simulated together, so that few drives are quick and make several chunks."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(making, "_CHUNK", 4)
+        patch.setattr(drives, "_CHUNK", 4)
         yield
 
 
@@ -51,7 +52,7 @@ def with_b21():
 
 
 def drives_laid_out(count=6, robot=P3DX):
-    return [making._drive(np.random.default_rng(seed), robot) for seed in range(count)]
+    return [drives.random_drive(np.random.default_rng(seed), robot, KIND) for seed in range(count)]
 
 
 @pytest.fixture(scope="module")
@@ -223,7 +224,7 @@ def test_where_there_is_no_room_there_is_no_way():
 
 
 def test_a_robot_for_which_there_is_no_room_is_one_line(monkeypatch):
-    monkeypatch.setattr(making, "_MOST_TRIES", 3)
+    monkeypatch.setattr(drives, "_MOST_TRIES", 3)
     giant = Robot("giant", 9.0, P3DX.transducer, 0.1, 5.0, P3DX.beam_width_rad, P3DX.mounts)
     with pytest.raises(
         UsageError, match=r"^robot giant: found no room .* among 3, expected a footprint_radius_m .* 9\)"
@@ -232,8 +233,8 @@ def test_a_robot_for_which_there_is_no_room_is_one_line(monkeypatch):
 
 
 def test_the_shares_of_worlds_are_of_worlds_that_there_are():
-    assert SHAPE_SHARES.keys() == SHAPES.keys()
-    assert sum(SHAPE_SHARES.values()) == pytest.approx(1)
+    assert KIND.shape_shares.keys() == SHAPES.keys()
+    assert sum(KIND.shape_shares.values()) == pytest.approx(1)
 
 
 def readings(monkeypatch, people, in_turn, count=6):
@@ -241,11 +242,11 @@ def readings(monkeypatch, people, in_turn, count=6):
     monkeypatch.setattr(making, "PEOPLE_SHARE", people)
     monkeypatch.setattr(making, "IN_TURN_SHARE", in_turn)
     rng = np.random.default_rng(0)
-    d = making._drive(rng, P3DX)
+    d = drives.random_drive(rng, P3DX, KIND)
     placed, true = sonar_poses(P3DX.mounts, d.poses), np.full((FRAMES, P3DX.sonars), 3.0)
     calm = Physics(lost=0, cross_talk=0, stale=0, range_noise=0, range_scale=0)
     for _ in range(count):
-        yield making._lesson(rng, d, calm, placed, true).ranges[:, : P3DX.sonars].astype(float)
+        yield making._lesson(rng, drives.Driven(d, calm, placed, true)).ranges[:, : P3DX.sonars].astype(float)
 
 
 def test_sonars_that_fire_in_turn_fire_group_after_group(monkeypatch):

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from echogrid.metrics import FREE, HIDDEN, SURFACE
-from echogrid.models import set_network
-from echogrid.models.set_network import SetNetwork, fused, initial, nearest
+from echogrid.models import set_layers
+from echogrid.models.set_layers import fused, initial, nearest
+from echogrid.models.set_network import SetNetwork
 from echogrid.models.table import sensor_model
-from echogrid.training import lessons as making
-from echogrid.training import set_training
-from echogrid.training import train as training
+from echogrid.training import descent, drives, set_training
+from echogrid.training.descent import descend, train
 from echogrid.training.lessons import FRAMES, POINTS, REACH_M, Lessons, lessons
 from echogrid.training.set_training import (
     BEHIND_WEIGHT,
@@ -26,7 +26,6 @@ from echogrid.training.set_training import (
     map_loss,
     orders,
 )
-from echogrid.training.train import descend, train
 
 DRIVES = 4
 RECIPE = SetRecipe(drives=DRIVES, epochs=3, hidden=6, batch=2, seed=5)
@@ -43,14 +42,14 @@ TOKENS = 3
 def few_tokens():
     """What is differentiated is written out token by token, and takes the compiler as long as there are many."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(set_network, "TOKENS", TOKENS)
+        patch.setattr(set_layers, "TOKENS", TOKENS)
         yield
 
 
 @pytest.fixture(scope="module")
 def made():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(making, "_CHUNK", DRIVES)
+        patch.setattr(drives, "_CHUNK", DRIVES)
         return lessons(None, DRIVES, seed=3)
 
 
@@ -264,7 +263,7 @@ def same_weights(a, b):
 def test_training_that_was_stopped_ends_with_the_weights_of_an_uninterrupted_run(
     made, trained, tmp_path, monkeypatch
 ):
-    checkpoint, write = tmp_path / "state.npz", training._write_arrays
+    checkpoint, write = tmp_path / "state.npz", descent._write_arrays
 
     def stop_in_the_second_epoch(path, key, arrays):
         if len(arrays[0]) == 2:
@@ -272,14 +271,14 @@ def test_training_that_was_stopped_ends_with_the_weights_of_an_uninterrupted_run
         write(path, key, arrays)
 
     with monkeypatch.context() as patch:
-        patch.setattr(training, "_write_arrays", stop_in_the_second_epoch)
+        patch.setattr(descent, "_write_arrays", stop_in_the_second_epoch)
         with pytest.raises(StoppedError):
             RECIPE.fit(made, checkpoint, "key", False)
     resumed = RECIPE.fit(made, checkpoint, "key", False)
     assert same_weights(resumed, trained)
     assert resumed.recipe == trained.recipe
     # What is finished is the result, without a step.
-    monkeypatch.setattr(training, "_step", None)
+    monkeypatch.setattr(descent, "_step", None)
     assert same_weights(RECIPE.fit(made, checkpoint, "key", False), trained)
 
 

@@ -10,8 +10,9 @@ from typing import NoReturn
 import tyro
 
 from echogrid import __version__
+from echogrid.cli.info import Info
 from echogrid.cli.live import Live
-from echogrid.cli.maps import Info, Map, Score
+from echogrid.cli.maps import Map, Score
 from echogrid.cli.simulation import Scan, Simulate, Train
 from echogrid.errors import EchogridError
 

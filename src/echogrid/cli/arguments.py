@@ -87,6 +87,14 @@ def check_physics(physics: Physics) -> None:
             raise UsageError(f"--physics.{shown}: found {value:g}, expected {low:g} to {high:g}")
 
 
+def check_map(resolution: float | None, half_life: float | None) -> None:
+    """Refuse cells (m) and half-lives (s) that no map can have."""
+    if resolution is not None and not 0.005 <= resolution <= 10:
+        raise UsageError(f"--resolution: found {resolution:g}, expected 0.005 to 10 m")
+    if half_life is not None and not 0.1 <= half_life <= 1e7:
+        raise UsageError(f"--half-life: found {half_life:g}, expected 0.1 to 1e7 s")
+
+
 def check_seed(seed: int) -> None:
     """Refuse a seed below 0."""
     if seed < 0:

@@ -5,7 +5,6 @@ import os
 import signal
 import sys
 import time
-from collections import Counter
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -15,14 +14,14 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, arg
 
-from echogrid.cli.arguments import Ros
+from echogrid.cli.arguments import Ros, check_map
 from echogrid.errors import EchogridError, UsageError
 from echogrid.files import made
 
 if TYPE_CHECKING:
     from echogrid.live.dds import Network
-    from echogrid.live.live_map import Live as Mapping
     from echogrid.live.live_map import Snapshot
+    from echogrid.live.session import Live as Mapping
 
 STATUS_S = 10.0
 """How often it is said how it goes."""
@@ -75,8 +74,8 @@ class Live:
             from echogrid.live.dds import Network
         except ImportError:
             raise UsageError("live: found no cyclonedds, expected `pip install 'echogrid[ros2]'`") from None
-        from echogrid.live.live_map import Live as Mapping
         from echogrid.live.live_map import Settings
+        from echogrid.live.session import Live as Mapping
         from echogrid.models.set_network import SetNetwork
         from echogrid.models.table import sensor_model
 
@@ -97,10 +96,7 @@ class Live:
         print(f"{mapping.scans} scans, {mapping.readings} readings; map in {self.out}/map.png")
 
     def _check(self) -> int:
-        if self.resolution is not None and not 0.005 <= self.resolution <= 10:
-            raise UsageError(f"--resolution: found {self.resolution:g}, expected 0.005 to 10 m")
-        if self.half_life is not None and not 0.1 <= self.half_life <= 1e9:
-            raise UsageError(f"--half-life: found {self.half_life:g}, expected 0.1 s or more")
+        check_map(self.resolution, self.half_life)
         if not 1.0 <= self.local_side <= 40.0:
             raise UsageError(f"--local-side: found {self.local_side:g}, expected 1 to 40 m")
         if not 1.0 <= self.save_every <= 86400.0:
@@ -142,15 +138,19 @@ def _map(mapping: "Mapping", network: "Network", saver: "_Saver", stop: list[int
         saver.step(mapping, now)
         if now >= status_due:
             status_due = now + STATUS_S
-            status = mapping.status() + "".join(f"; {n} x {reason}" for reason, n in network.refused.most_common(3))
-            if not network.ranges:
-                status = f"no topic of sensor_msgs/Range on {where} (--interface, --domain, --topics choose others)"
+            status = _status(mapping, network, where)
             if status != told:
                 _say(status)
             told = status
     for heard, topic, message in network.take():
         mapping.take(heard, topic, message, time.monotonic())
     mapping.finish()
+
+
+def _status(mapping: "Mapping", network: "Network", where: str) -> str:
+    if not network.ranges:
+        return f"no topic of sensor_msgs/Range on {where} (--interface, --domain, --topics choose others)"
+    return mapping.status() + "".join(f"; {n} x {reason}" for reason, n in network.refused.most_common(3))
 
 
 class _Saver:
@@ -190,7 +190,7 @@ class _Saver:
             self._thread.join()
         snapshot = mapping.snapshot()
         if snapshot is None:
-            refused = Counter(mapping.refused).most_common(1)
+            refused = mapping.refused.most_common(1)
             because = f" ({refused[0][1]} x {refused[0][0]})" if refused else ""
             raise UsageError(f"live: found no scan to map{because}, expected sensor_msgs/Range with tf or odometry")
         _write(self._folder, snapshot)

@@ -1,39 +1,38 @@
-"""Commands about logs and maps: map, info, score."""
+"""Commands that make maps of logs and score them: map, score."""
 
 import signal
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass, field, is_dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from echogrid.cli.arguments import Ros, bar, open_log, print_notes
-from echogrid.errors import InputError, UsageError
+from echogrid.cli.arguments import Ros, bar, check_map, open_log, print_notes
+from echogrid.errors import InputError
 from echogrid.files import made, replacing
-from echogrid.frame import Frame, Track
+from echogrid.frame import Frame, Log, Track
 from echogrid.grid import Grid
-from echogrid.logs import bag
-from echogrid.logs.contents import describe
-from echogrid.logs.formats import load_log
+from echogrid.output.follower import Follower
 from echogrid.robot import Robot, robot_yaml
 
+if TYPE_CHECKING:
+    from echogrid.models.model import Model
 
-class _Follower(Protocol):
-    """What goes along while a log is mapped, and makes a file of its own of it."""
 
-    def add(self, frame: Frame) -> None:
-        """Take the next frame."""
+class _Mapped(NamedTuple):
+    """What a log has become."""
 
-    def keep(self, grid: Grid) -> None:
-        """Take the map so far."""
-
-    def finish(self, grid: Grid) -> None:
-        """Take the finished map."""
+    grid: Grid
+    path: Float[ndarray, "poses 2"]
+    """The drive: x, y, m, world."""
+    frames: int
+    seconds: float
 
 
 @dataclass(frozen=True)
@@ -73,21 +72,28 @@ class Map:
 
     def run(self) -> None:
         """Map the log and write the folder."""
-        from echogrid.mapping.build import build_map
-        from echogrid.models.network import Network
-        from echogrid.models.set_network import SetNetwork
         from echogrid.models.table import sensor_model
         from echogrid.output.mapfile import write_map
 
-        if self.resolution is not None and not 0.005 <= self.resolution <= 10:
-            raise UsageError(f"--resolution: found {self.resolution:g}, expected 0.005 to 10 m")
-        if self.half_life is not None and not 0.1 <= self.half_life <= 1e7:
-            raise UsageError(f"--half-life: found {self.half_life:g}, expected 0.1 to 1e7 s")
+        check_map(self.resolution, self.half_life)
         log, robot, named = open_log(self.log, self.robot, self.ros.choice())
         model = sensor_model(self.interpreter)
         title = f"{Path(log.name).name}, {robot.name}, {model.name}"
+        with made(self.out), ExitStack() as stack:  # a folder that cannot be made is found now, not after the mapping
+            followers = list(self._followers(robot, title, stack))
+            mapped = self._mapped(log, robot, model, followers)
+            write_map(self.out, mapped.grid, mapped.path, self._settings(log, robot, model, mapped), title, self.pgm)
+            for follower in followers:
+                follower.finish(mapped.grid)
+        self._report(log, robot, named, mapped)
+        if self.rerun:
+            self._show()
+
+    def _mapped(self, log: Log, robot: Robot, model: "Model", followers: list[Follower]) -> _Mapped:
+        """Map the log, and show the followers its frames and the map on the way."""
+        from echogrid.mapping.build import build_map
+
         path, count, grid = Track(), 0, None
-        followers: list[_Follower] = []
 
         def frames() -> Iterator[Frame]:
             nonlocal count
@@ -99,116 +105,55 @@ class Map:
                 yield frame
 
         begin = time.perf_counter()
-        with made(self.out), ExitStack() as stack:  # a folder that cannot be made is found now, not after the mapping
-            followers += self._followers(robot, title, stack)
-            for step in build_map(frames(), robot, model, self.resolution, self.half_life):
-                grid = step
-                for follower in followers:
-                    follower.keep(grid)
-            if grid is None:
-                raise InputError(log.name, "no frames", "at least one")
-            seconds = time.perf_counter() - begin
-            if self.refine:
-                grid = grid.refined()
-            settings = asdict(self) | {"log": log.name, "robot": robot_yaml(robot), "frames": count}
-            settings["resolution"] = grid.resolution
-            if isinstance(model, Network | SetNetwork):
-                settings |= {"weights": model.recipe}
-            elif is_dataclass(model) and not isinstance(model, type):
-                settings |= {"parameters": asdict(model)}
-            write_map(self.out, grid, path.points(), settings, title, self.pgm)
+        for grid in build_map(frames(), robot, model, self.resolution, self.half_life):
             for follower in followers:
-                follower.finish(grid)
+                follower.keep(grid)
+        if grid is None:
+            raise InputError(log.name, "no frames", "at least one")
+        seconds = time.perf_counter() - begin
+        return _Mapped(grid.refined() if self.refine else grid, path.points(), count, seconds)
+
+    def _settings(self, log: Log, robot: Robot, model: "Model", mapped: _Mapped) -> dict[str, Any]:
+        """What run.yaml holds: what is needed to repeat the run."""
+        settings = asdict(self) | {"log": log.name, "robot": robot_yaml(robot), "frames": mapped.frames}
+        return settings | {"resolution": mapped.grid.resolution} | model.told()
+
+    def _report(self, log: Log, robot: Robot, named: bool, mapped: _Mapped) -> None:
         if not named:
             print(f"robot: {robot.name}, as none was named", file=sys.stderr)
         print_notes(log)
-        rows, cols = grid.shape
-        size = f"{cols * grid.resolution:.1f} x {rows * grid.resolution:.1f} m"
+        rows, cols = mapped.grid.shape
+        cell = mapped.grid.resolution
         files = f"{self.out}/map.png{', map.html' if self.view else ''}"
-        print(f"{log.name}: {count} scans of {robot.name} in {seconds:.1f} s; map of {size} in {files}")
-        if self.rerun:
-            self._show()
+        print(
+            f"{log.name}: {mapped.frames} scans of {robot.name} in {mapped.seconds:.1f} s; "
+            f"map of {cols * cell:.1f} x {rows * cell:.1f} m in {files}"
+        )
 
-    def _followers(self, robot: Robot, title: str, stack: ExitStack) -> Iterator[_Follower]:
+    def _followers(self, robot: Robot, title: str, stack: ExitStack) -> Iterator[Follower]:
         """What the options ask for beside the map; their files are whole when the stack is closed."""
         if self.view:
             from echogrid.output.page import Page
 
             yield Page(stack.enter_context(replacing(self.out / "map.html")), robot, title)
         if self.mcap:
-            from echogrid.output.recorder import Recorder
+            from echogrid.output.mcap_file import Recorder
 
             yield stack.enter_context(Recorder(self.out / "map.mcap", robot))
         if self.rerun:
-            from echogrid.output.viewer import Viewing
+            from echogrid.output.rerun_file import Viewing
 
             yield stack.enter_context(Viewing(self.out / "map.rrd", robot))
 
     def _show(self) -> None:
         """Show map.rrd until Ctrl-C."""
-        from echogrid.output.viewer import served
+        from echogrid.output.rerun_server import served
 
         for sign in (signal.SIGTERM, signal.SIGHUP):  # whoever ends us, Rerun is to end with us
             signal.signal(sign, signal.default_int_handler)
         with suppress(KeyboardInterrupt), served(self.out / "map.rrd") as shown:
             print(f"{self.out}/map.rrd is at {shown.address} until Ctrl-C", flush=True)
             shown.wait()
-
-
-@dataclass(frozen=True)
-class Info:
-    """Say what is in a log."""
-
-    log: Annotated[Positional[Path], arg(metavar="LOG")]
-    """CSV or CARMEN log, or a bag of ROS."""
-    robot: Annotated[str | None, arg(metavar="NAME|FILE")] = None
-    """Preset or robot file, for its range limits (and places, where a bag has none). Without it, readings count as
-    they are."""
-    ros: Annotated[Ros, OmitArgPrefixes] = field(default_factory=Ros)
-
-    def run(self) -> None:
-        """Print what is in the log."""
-        robot = Robot.load(self.robot) if self.robot else None
-        if bag.recognises(self.log):
-            _print_bag(bag.survey(self.log, robot, self.ros.choice()))
-        log = load_log(self.log, robot, self.ros.choice())
-        info = describe(log)
-        x0, y0, x1, y1 = info.box_m
-        print(f"log           {info.name}")
-        print(f"frames        {info.frames}")
-        print(f"sonars        {info.sonars}")
-        rate = f", {(info.frames - 1) / info.span_s:.1f} Hz" if info.span_s > 0 else ""
-        print(f"span          {info.span_s:.2f} s{rate}")
-        print(f"drive         {info.length_m:.2f} m within x {x0:.2f} .. {x1:.2f}, y {y0:.2f} .. {y1:.2f} m")
-        print(f"no echo       {info.no_echo:.1%}")
-        print(f"not fired     {info.not_fired:.1%}")
-        print(f"stale         {info.stale:.1%} of the finite readings repeat the one before")
-        ranges = f"{info.nearest_m:.3f} .. {info.farthest_m:.3f} m, median {info.median_m:.2f} m"
-        print(f"ranges        {'none' if np.isnan(info.median_m) else ranges}")
-        print("no echo of    " + " ".join(f"r{i} {v:.0%}" for i, v in enumerate(info.no_echo_by_sonar)))
-        print_notes(log)
-
-
-def _print_bag(survey: bag.Survey) -> None:
-    """What is in a bag: its topics, and each sonar with what the bag says of it."""
-    print("topic                            messages  type")
-    for topic in survey.topics:
-        print(f"{topic.name:32} {topic.messages:8}  {topic.type}")
-    print(
-        "\nsonar (topic, frame)                       rate   x, y, axis on the robot     beam   limits      no echo"
-    )
-    for sonar in sorted(survey.heard, key=lambda each: each.order):
-        heard = survey.heard[sonar]
-        place = heard.amiss or "of the robot file"
-        if heard.mount is not None:
-            x, y, axis = heard.mount
-            place = f"{x:5.2f} {y:5.2f} m {np.rad2deg(axis):6.1f} deg"
-        low, high = heard.limits
-        beam = f"{np.rad2deg(heard.field_of_view):4.0f} deg"
-        limits = f"{low:.2f}-{high:.2f} m"
-        name = f"{sonar.topic} {sonar.frame}"
-        print(f"{name:40} {heard.rate:5.1f} Hz  {place:25} {beam}  {limits:11} {heard.no_echo / heard.readings:6.1%}")
-    print(f"\nposes         of {survey.base} in {survey.fixed}\n")
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,7 @@ class Scan:
 
     def run(self) -> None:
         """Write the scan."""
-        from echogrid.output.picture import write_scan
+        from echogrid.output.scan_picture import write_scan
         from echogrid.simulation.simulate import rotary_scan
 
         check_physics(self.physics)
@@ -129,8 +129,9 @@ class Train:
 
     def run(self) -> None:
         """Write the weights."""
+        from echogrid.training.descent import train
+        from echogrid.training.paper_training import PaperRecipe
         from echogrid.training.set_training import SetRecipe
-        from echogrid.training.train import Recipe, train
 
         for name in ("drives", "epochs"):
             if getattr(self, name) < 1:
@@ -140,7 +141,7 @@ class Train:
             raise unwritable(self.out, "a folder")
         robot = None if self.robot == "any" else Robot.load(self.robot)
         begin = time.perf_counter()
-        kind = SetRecipe if self.network == "set" else Recipe
+        kind = SetRecipe if self.network == "set" else PaperRecipe
         recipe = kind(drives=self.drives, epochs=self.epochs, seed=self.seed)
         network = train(robot, recipe, self.out, progress=True)
         minutes = (time.perf_counter() - begin) / 60

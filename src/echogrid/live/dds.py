@@ -10,45 +10,44 @@ therefore ties them to loopback itself (SO_BINDTODEVICE), or, where another inte
 what comes in through any but that and loopback (SO_ATTACH_FILTER), for the robot's own programs talk through both.
 Elsewhere than on Linux a firewall has to do this, and ``Network.kept`` is False.
 
-What comes in is bounded in size here (MAX_MESSAGE_BYTES) and judged in ``echogrid.live``. Cyclone DDS itself reads
-the packets; a flood of them costs time and memory that nothing here can bound.
+What comes in is bounded in size (``dds_types.MAX_MESSAGE_BYTES``) and judged in ``echogrid.live.hearing``. Cyclone
+DDS itself reads the packets; a flood of them costs time and memory that nothing here can bound.
 
-The names and types are those by which ROS 2 puts its messages on DDS: topic ``/map`` is ``rt/map``, type
-``nav_msgs/msg/OccupancyGrid`` is ``nav_msgs::msg::dds_::OccupancyGrid_``, all structs are final.
+The names are those by which ROS 2 puts its topics on DDS: ``/map`` is ``rt/map``.
 """
 
-import ctypes
-import os
 import re
 import socket
-import stat
-import struct
-import sys
 import time
 from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any
 
-import numpy as np
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 from cyclonedds.core import DDSException, InstanceState, Policy, Qos, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import Domain, DomainParticipant
-from cyclonedds.idl import IdlStruct, make_idl_struct
-from cyclonedds.idl.types import array, float32, float64, int8, int32, sequence, uint8, uint32
 from cyclonedds.internal import DDS
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 from echogrid.errors import UsageError
-from echogrid.live.live_map import Heard, Picture
+from echogrid.live.dds_types import (
+    OccupancyGrid,
+    Odometry,
+    Range,
+    RangeWithVariance,
+    Refused,
+    TFMessage,
+    occupancy_grid,
+)
+from echogrid.live.hearing import Heard
+from echogrid.live.live_map import Picture
+from echogrid.live.sockets import keep_to, open_sockets
 from echogrid.robot import MAX_SONARS
 from echogrid.ros.messages import Choice
-
-MAX_MESSAGE_BYTES = 256 * 1024
-"""A longer message is refused: room for about 2,000 transforms."""
 
 _MAX_SAMPLE_BYTES = 64 * 1024 * 1024
 """What Cyclone DDS takes or sends at most, a map among it."""
@@ -57,84 +56,6 @@ _LOG_FATAL, _MULTICAST = 1, ' multicast="true"'
 
 _DEPTH = 4_000
 """Messages of a topic that wait here at most, while the network of the map is being compiled for instance."""
-
-
-class Refused:
-    """Stands for a message that was not even decoded."""
-
-    sample_info: Any = None
-
-    def __init__(self, reason: str):
-        self.reason = reason
-
-
-def _message(name: str, **fields: Any) -> Any:
-    """A message of ROS as a final struct of DDS; made by a call, for tools that read hints choke on such classes."""
-    package, kind = name.split("/")
-    return make_idl_struct(kind, f"{package}.msg.dds_.{kind}_", fields)
-
-
-def _bounded(kind: Any) -> Any:
-    """Have a type's decoding refuse, not raise, so that one bad message takes no other with it."""
-    decode = kind.deserialize
-
-    def deserialize(data: bytes, *args: Any, **kwargs: Any) -> Any:
-        if len(data) > MAX_MESSAGE_BYTES:
-            return Refused("a message that is too long")
-        try:
-            return decode(data, *args, **kwargs)
-        except Exception:  # strangers decide what is in it, and the decoder raises whatever its steps raise
-            return Refused("a message that cannot be decoded")
-
-    kind.deserialize = staticmethod(deserialize)
-    return kind
-
-
-Time = _message("builtin_interfaces/Time", sec=int32, nanosec=uint32)
-Header = _message("std_msgs/Header", stamp=Time, frame_id=str)
-Vector3 = _message("geometry_msgs/Vector3", x=float64, y=float64, z=float64)
-Point = _message("geometry_msgs/Point", x=float64, y=float64, z=float64)
-Quaternion = _message("geometry_msgs/Quaternion", x=float64, y=float64, z=float64, w=float64)
-Transform = _message("geometry_msgs/Transform", translation=Vector3, rotation=Quaternion)
-TransformStamped = _message("geometry_msgs/TransformStamped", header=Header, child_frame_id=str, transform=Transform)
-TFMessage = _bounded(_message("tf2_msgs/TFMessage", transforms=sequence[TransformStamped]))
-Pose = _message("geometry_msgs/Pose", position=Point, orientation=Quaternion)
-PoseWithCovariance = _message("geometry_msgs/PoseWithCovariance", pose=Pose, covariance=array[float64, 36])
-Twist = _message("geometry_msgs/Twist", linear=Vector3, angular=Vector3)
-TwistWithCovariance = _message("geometry_msgs/TwistWithCovariance", twist=Twist, covariance=array[float64, 36])
-Odometry = _bounded(
-    _message(
-        "nav_msgs/Odometry", header=Header, child_frame_id=str, pose=PoseWithCovariance, twist=TwistWithCovariance
-    )
-)
-
-_RANGE = {
-    "header": Header,
-    "radiation_type": uint8,
-    **dict.fromkeys(("field_of_view", "min_range", "max_range", "range"), float32),
-}
-
-Range = _bounded(_message("sensor_msgs/Range", **_RANGE))
-"""As it was up to ROS 2 Humble. It reads the longer message of later releases as well, where the writer does not say
-what its type looks like, and ROS 2's do not."""
-
-RangeWithVariance = _bounded(_message("sensor_msgs/Range", **_RANGE, variance=float32))
-"""From ROS 2 Iron on."""
-
-MapMetaData = _message(
-    "nav_msgs/MapMetaData", map_load_time=Time, resolution=float32, width=uint32, height=uint32, origin=Pose
-)
-OccupancyGrid = _message("nav_msgs/OccupancyGrid", header=Header, info=MapMetaData, data=sequence[int8])
-
-
-def _serialize(self: Any, *args: Any, **kwargs: Any) -> bytes:
-    """As of any message, but for the cells, which would take a call each."""
-    cells = np.asarray(self.data, dtype=np.int8)
-    bare = IdlStruct.serialize(replace(self, data=[]), *args, **kwargs)
-    return bare[:-4] + struct.pack("=I", cells.size) + cells.tobytes()
-
-
-OccupancyGrid.serialize = _serialize
 
 SENSOR_QOS = Qos(
     Policy.Reliability.BestEffort,
@@ -242,12 +163,12 @@ class Network:
         self._readers: dict[tuple[str, type], _Reader] = {}
         self._held: list[tuple[int, Heard, str, Any]] = []
         sent = [dds_topic(name) for name in (map_topic, local_topic)]
-        before = _sockets()
+        before = open_sockets()
         try:
             # None leaves it to Cyclone DDS, which looks at CYCLONEDDS_URI.
             self._domain = Domain(domain, None if interface is None else configuration(interface))
             if interface is not None and interface != "any":
-                self.kept = _keep_to(interface, _sockets() - before)
+                self.kept = keep_to(interface, open_sockets() - before)
             self._participant = DomainParticipant(domain)
             if interface is not None:
                 # Each message of a stranger that Cyclone DDS cannot read would be a line on stderr.
@@ -293,7 +214,7 @@ class Network:
         for reader in self._readers.values():
             try:
                 samples = reader.reader.take(_DEPTH)
-            except Exception:  # as in _bounded, but for what is no message
+            except Exception:  # as in dds_types, but for what is no message
                 self.refused["messages that cannot be taken"] += 1
                 continue
             for sample in samples:
@@ -334,57 +255,5 @@ class Network:
 
     def send(self, picture: Picture) -> None:
         """Send a map, or a local map."""
-        sec, nanosec = divmod(round(picture.stamp * 1e9), 10**9)
-        rows, cols = picture.cells.shape
-        stamp = Time(sec, nanosec)
-        origin = Pose(Point(*picture.origin, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
-        info = MapMetaData(stamp, picture.resolution, cols, rows, origin)
-        message = OccupancyGrid(Header(stamp, picture.frame), info, picture.cells.ravel())
         with suppress(DDSException):  # a reader that takes nothing costs the others no more than this map
-            (self._local if picture.local else self._map).write(message)
-
-
-def _sockets() -> set[int]:
-    """Descriptors of this process's UDP sockets; empty elsewhere than on Linux."""
-    found = set()
-    with suppress(FileNotFoundError):
-        for name in os.listdir("/proc/self/fd"):
-            with suppress(OSError):
-                if stat.S_ISSOCK(os.fstat(int(name)).st_mode):
-                    found.add(int(name))
-    return found
-
-
-def _keep_to(interface: str, descriptors: set[int]) -> bool:
-    """Let nothing into sockets but through an interface; whether that could be done for all."""
-    if sys.platform != "linux" or not descriptors:
-        return False
-    for descriptor in descriptors:
-        try:
-            with socket.socket(fileno=os.dup(descriptor)) as each:
-                if each.family not in (socket.AF_INET, socket.AF_INET6):
-                    continue
-                if interface == "lo":
-                    each.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
-                else:
-                    _only_from(each, [socket.if_nametoindex(name) for name in ("lo", interface)])
-        except OSError:  # a kernel before 5.7 lets only root do so
-            return False
-    return True
-
-
-def _only_from(each: socket.socket, indices: list[int]) -> None:
-    """Attach a classic BPF program that drops what came in through any other interface."""
-    load, equal, answer, index = 0x20, 0x15, 0x06, 0xFFFFF000 + 8  # SKF_AD_OFF + SKF_AD_IFINDEX
-    tests = [struct.pack("HBBI", equal, len(indices) - i, 0, number) for i, number in enumerate(indices)]
-    program = b"".join(
-        [struct.pack("HBBI", load, 0, 0, index), *tests]
-        + [struct.pack("HBBI", answer, 0, 0, length) for length in (0, 0xFFFFFFFF)]
-    )
-    memory = ctypes.create_string_buffer(program, len(program))
-    fprog = struct.pack("HL", len(program) // 8, ctypes.addressof(memory))
-    each.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, fprog)
-
-
-_SO_ATTACH_FILTER = 26
-"""Not among the constants of Python's socket module."""
+            (self._local if picture.local else self._map).write(occupancy_grid(picture))

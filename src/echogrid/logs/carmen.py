@@ -25,8 +25,10 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.errors import InputError
+from echogrid.files import printable
 from echogrid.frame import Frame, Log
-from echogrid.logs.lines import Table, number_of, numbered, only_numbers, printable, quoted, text_of
+from echogrid.logs.lines import numbered, quoted, text_of
+from echogrid.logs.rows import Table, number_of, only_numbers
 from echogrid.robot import MAX_SONARS, TRANSDUCERS, Robot
 
 MAX_HELD = 10_000

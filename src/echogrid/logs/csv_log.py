@@ -15,18 +15,10 @@ from jaxtyping import Float
 from numpy import inf, nan, ndarray
 
 from echogrid.errors import InputError
-from echogrid.files import replacing, unwritable
+from echogrid.files import printable, replacing, unwritable
 from echogrid.frame import Frame, Log
-from echogrid.logs.lines import (
-    MAX_LINE,
-    Table,
-    number_of,
-    numbered,
-    only_numbers,
-    printable,
-    quoted,
-    text_of,
-)
+from echogrid.logs.lines import MAX_LINE, numbered, quoted, text_of
+from echogrid.logs.rows import Table, number_of, only_numbers
 from echogrid.robot import MAX_SONARS, Robot
 
 _POSE = ("t", "x", "y", "theta")

@@ -1,18 +1,17 @@
-"""Readers of recorded logs: one file a format, one table, and every reader yields the same Frame."""
+"""The formats of recorded logs: one file a format, one table, and every reader yields the same Frame."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from echogrid.bags import bag
 from echogrid.errors import InputError
+from echogrid.files import printable
 from echogrid.frame import Log
-from echogrid.logs import bag, carmen, csv_log
-from echogrid.logs.csv_log import write_csv
-from echogrid.logs.lines import numbered, printable, quoted, text_of
+from echogrid.logs import carmen, csv_log
+from echogrid.logs.lines import first_line, quoted
 from echogrid.robot import Robot
 from echogrid.ros.messages import Choice
-
-__all__ = ["READERS", "Reader", "load_log", "write_csv"]
 
 
 @dataclass(frozen=True)
@@ -21,16 +20,25 @@ class Reader:
 
     format: str
     """What the format is called, and what its first line looks like."""
-    recognises: Callable[[str], bool]
-    """Tells from the first line whether a file is of the format."""
-    load: Callable[[Path, Robot | None], Log]
+    recognises: Callable[[Path], bool]
+    """Tells whether a file is of the format; an InputError if it must be read for that, and cannot be."""
+    load: Callable[[Path, Robot | None, Choice], Log]
     """Opens a file of the format."""
+    chooses: bool = False
+    """Whether there are topics and frames in it to choose from."""
+
+
+def _text(name: str, recognises: Callable[[str], bool], load: Callable[[Path, Robot | None], Log]) -> Reader:
+    """A format of text, which is told from the first line."""
+    return Reader(name, lambda path: recognises(first_line(path)), lambda path, robot, _: load(path, robot))
 
 
 READERS = (
-    Reader("a CSV log (t,x,y,theta,r0,...)", csv_log.recognises, csv_log.load),
-    Reader("a CARMEN log (# ..., ODOM ..., SONAR ...)", carmen.recognises, carmen.load),
+    _text("a CSV log (t,x,y,theta,r0,...)", csv_log.recognises, csv_log.load),
+    _text("a CARMEN log (# ..., ODOM ..., SONAR ...)", carmen.recognises, carmen.load),
+    Reader("a bag of ROS", bag.recognises, bag.load, chooses=True),
 )
+"""Asked from the last to the first: what ends or begins like a bag is not looked at as a text."""
 
 
 def load_log(path: str | Path, robot: Robot | None = None, choice: Choice | None = None) -> Log:
@@ -49,23 +57,16 @@ def load_log(path: str | Path, robot: Robot | None = None, choice: Choice | None
         InputError: no file, a format that is not known, a wrong header, nothing in it, or another number of
             sonars than the robot has.
     """
-    path = Path(path)
+    path, choice = Path(path), choice or Choice()
     name = printable(path)
-    if bag.recognises(path):
-        return bag.load(path, robot, choice)
-    if choice not in (None, Choice()):
+    asked = [reader for reader in reversed(READERS) if reader.chooses or choice == Choice()]
+    reader = next((reader for reader in asked if reader.recognises(path)), None)
+    if reader is None and choice != Choice():
         raise InputError(name, "a log that is no bag", "a bag, for topics and frames to be chosen from")
-    _, line = next(numbered(path), (1, b""))
-    if not line:
-        raise InputError(name, "an empty file", "a log")
-    first_line = text_of(line, f"{name}:1")
-    for reader in READERS:
-        if reader.recognises(first_line):
-            log = reader.load(path, robot)
-            break
-    else:
-        formats = " or ".join([*(reader.format for reader in READERS), "a bag of ROS"])
-        raise InputError(f"{name}:1", quoted(first_line), formats)
+    if reader is None:
+        formats = " or ".join(reader.format for reader in READERS)
+        raise InputError(f"{name}:1", quoted(first_line(path)), formats)
+    log = reader.load(path, robot, choice)
     if robot is not None and robot.sonars != log.sonars:
         raise InputError(name, f"{log.sonars} sonars", f"{robot.sonars}, as robot {robot.name} has")
     return log

@@ -17,7 +17,16 @@ from echogrid.robot import Robot
 
 
 @dataclass(frozen=True)
-class MoravecElfes(ShortReach):
+class ForAndAgainst(ShortReach):
+    """What the models share whose cells keep apart what speaks for a surface and against it."""
+
+    def blank(self) -> Layers:
+        """See ``ReadingModel``."""
+        return {"empty": np.float32(0)[...], "occupied": np.float32(0)[...]}
+
+
+@dataclass(frozen=True)
+class MoravecElfes(ForAndAgainst):
     """Moravec & Elfes 1985: how sure it is that a cell is empty and that it is occupied, kept apart.
 
     The evidence for occupied is spread over the arc so that it sums to one, after the cells that are known to be
@@ -36,10 +45,6 @@ class MoravecElfes(ShortReach):
         """See ``ReadingModel``; an arc is weighed as a whole, also where it lies beyond ``reach_m``."""
         return min(self.reach_m + 2 * self.error_m, robot.max_range_m)
 
-    def blank(self) -> Layers:
-        """See ``ReadingModel``."""
-        return {"empty": np.float32(0)[...], "occupied": np.float32(0)[...]}
-
     def update(self, cells: Cells, beam: Beam) -> Told:
         """See ``ReadingModel``."""
         heard, inside = beam.heard(), beam.inside(self.reach_m)
@@ -49,7 +54,7 @@ class MoravecElfes(ShortReach):
         before = inside & (beam.distance <= heard - self.error_m)
         p_empty = jnp.where(before, along * across, 0.0)
         empty = cells["empty"] + p_empty - cells["empty"] * p_empty
-        arc = beam.inside(np.inf) & jnp.isfinite(beam.reading) & (jnp.abs(beam.distance - heard) <= self.error_m)
+        arc = beam.arc(self.error_m)
         shape = 1 - ((beam.distance - heard) / self.error_m) ** 2
         p_occupied = jnp.where(arc, shape * across * (1 - empty), 0.0)
         p_occupied = p_occupied / jnp.maximum(jnp.sum(p_occupied), 1e-6)
@@ -88,7 +93,7 @@ class Himm(ShortReach):
         """See ``ReadingModel``; the axis is the cells whose centre lies within half a cell of it."""
         heard, within = beam.heard(), beam.distance <= self.reach_m
         end = beam.is_cell(*beam.cell_at(heard))
-        at_echo = within & end & jnp.isfinite(beam.reading)
+        at_echo = within & end & beam.echo()
         ahead, aside = beam.distance * jnp.cos(beam.off_axis), beam.distance * jnp.sin(beam.off_axis)
         before = within & ~end & (jnp.abs(aside) <= beam.cell / 2) & (ahead > 0) & (ahead < heard)
         step = jnp.where(at_echo, self.UP, jnp.where(before, -self.DOWN, 0))
@@ -103,14 +108,14 @@ class Himm(ShortReach):
 
 
 @dataclass(frozen=True)
-class DempsterShafer(ShortReach):
+class DempsterShafer(ForAndAgainst):
     """Dempster's rule over {empty, occupied} (Pagac, Nebot & Durrant-Whyte 1998).
 
     Each of the n cells of the arc gets the mass 1/n for occupied, each cell before it the mass rho for empty, and
     all that is left says nothing. Read out as the pignistic probability m(occupied) + m(either) / 2. Under Dempster's
-    rule the commonalities q(A), the mass of A and of all that holds it, multiply: a cell keeps the sums of their
-    logarithms, which ask for no order and do not run out of digits. No reading has mass for both empty and occupied,
-    so that q(either) = q(empty) q(occupied). Formulas from memory of the literature.
+    rule the commonalities q(A), the mass of A and of all that holds it, multiply: a cell keeps the sums of the
+    logarithms of q(empty) and q(occupied), which ask for no order and do not run out of digits. No reading has mass
+    for both, so that q(either) = q(empty) q(occupied). Formulas from memory of the literature.
     """
 
     reach_m: float = 1.6
@@ -125,15 +130,11 @@ class DempsterShafer(ShortReach):
         """See ``ReadingModel``; an arc is weighed as a whole, also where it lies beyond ``reach_m``."""
         return min(self.reach_m + self.thickness_m, robot.max_range_m)
 
-    def blank(self) -> Layers:
-        """See ``ReadingModel``; log q(empty) and log q(occupied)."""
-        return {"empty": np.float32(0)[...], "occupied": np.float32(0)[...]}
-
     def update(self, cells: Cells, beam: Beam) -> Told:
         """See ``ReadingModel``."""
         heard, inside = beam.heard(), beam.inside(self.reach_m)
         half = self.thickness_m / 2
-        arc = beam.inside(np.inf) & jnp.isfinite(beam.reading) & (jnp.abs(beam.distance - heard) <= half)
+        arc = beam.arc(half)
         on_arc = arc & inside
         before = inside & (beam.distance < heard - half)
         # An arc of a single cell would be certain, and no later reading could move it.
@@ -164,7 +165,7 @@ class DempsterShafer(ShortReach):
 
 
 @dataclass(frozen=True)
-class Fuzzy(ShortReach):
+class Fuzzy(ForAndAgainst):
     """Fuzzy sets of empty and of occupied cells, united by Dombi's union (Oriolo, Ulivi & Vendittelli 1998).
 
     The union of m_1, m_2, ... is 1 / (1 + S^(-1/lambda)) with S the sum of (m / (1 - m))^lambda, so S is what a
@@ -185,19 +186,14 @@ class Fuzzy(ShortReach):
     """Dombi's lambda."""
     name: str = "fuzzy"
 
-    def blank(self) -> Layers:
-        """See ``ReadingModel``."""
-        return {"empty": np.float32(0)[...], "occupied": np.float32(0)[...]}
-
     def update(self, cells: Cells, beam: Beam) -> Told:
         """See ``ReadingModel``."""
         heard, d, inside = beam.heard(), beam.distance, beam.inside(self.reach_m)
-        echo = jnp.isfinite(beam.reading)
         fades = jnp.where(inside, beam.amplitude() * (1 - jnp.tanh(2 * (d - self.visibility_m))) / 2, 0.0)
         ramp = jnp.clip((heard - d) / self.depth_m, 0.0, 1.0) ** 2
         empty = self.k_empty * fades * ramp
         arc = jnp.maximum(0.0, 1 - ((heard - d) / self.depth_m) ** 2)
-        occupied = jnp.where(echo, self.k_occupied * fades * arc, 0.0)
+        occupied = jnp.where(beam.echo(), self.k_occupied * fades * arc, 0.0)
         told = {
             "empty": cells["empty"] + (empty / (1 - empty)) ** self.union,
             "occupied": cells["occupied"] + (occupied / (1 - occupied)) ** self.union,

@@ -15,6 +15,7 @@ from numpy import ndarray
 
 from echogrid.grid import Layers, logit
 from echogrid.models.beam import Beam, Cells, Scalar, Square
+from echogrid.models.sweep import ReadingModel
 from echogrid.robot import Robot
 
 Told = tuple[Cells, Bool[Array, "side side"]]
@@ -22,7 +23,7 @@ Told = tuple[Cells, Bool[Array, "side side"]]
 
 
 @dataclass(frozen=True)
-class ShortReach:
+class ShortReach(ReadingModel):
     """What the models share that trust readings up to a reach."""
 
     reach_m: float
@@ -68,7 +69,7 @@ class Cone(SumOfLogOdds):
         """See ``ReadingModel``; only the sonar whose axis is nearest tells of a cell."""
         heard, half = beam.heard(), self.thickness_m / 2
         spoken = beam.inside(self.reach_m) & beam.nearest & (beam.distance <= heard + half)
-        struck = jnp.isfinite(beam.reading) & (jnp.abs(beam.distance - heard) < half)
+        struck = beam.arc(half)
         spoken &= struck | (beam.distance <= heard)
         return self.added(cells, jnp.where(struck, logit(self.p_occupied), logit(self.p_free)), spoken)
 
@@ -109,14 +110,13 @@ class Elfes(SumOfLogOdds):
         """See ``ReadingModel``."""
         struck = self.p_hit * jnp.exp(-((beam.off_axis / self.sigma_rad) ** 2) / 2)
         off = (beam.heard() - beam.distance) / self.sigma_m
-        density = jnp.exp(-(off**2) / 2) / (self.sigma_m * np.sqrt(2 * np.pi)) * beam.max_range
-        density = jnp.where(jnp.isfinite(beam.reading), density, 0.0)
+        density = beam.density(self.sigma_m) * beam.max_range
         evidence = jnp.log(struck * density + 1 - struck * ndtr(off))
         return self.added(cells, evidence, beam.inside(self.reach_m) & (off > -3))
 
 
 @dataclass(frozen=True)
-class Nav2:
+class Nav2(ReadingModel):
     """The RangeSensorLayer of Nav2, as shipped: cells of 8 bits, truncated at each update.
 
     A reading sets the cell at its end to 233 of 254 before the cells of the cone are updated by Bayes' rule. Without
@@ -144,7 +144,7 @@ class Nav2:
         heard = beam.heard()
         target = beam.is_cell(*beam.cell_at(heard))
         prior = jnp.where(target, self.TARGET, cells["cost"])
-        sensor = jnp.where(jnp.isfinite(beam.reading), self._sensor(beam, heard), 0.0)
+        sensor = jnp.where(beam.echo(), self._sensor(beam, heard), 0.0)
         changed = self._box(beam, heard) & (sensor != 0.5)
         return {"cost": jnp.where(changed, self._bayes(prior, sensor), prior)}, changed | target
 
@@ -253,11 +253,9 @@ class Muriel(SumOfLogOdds):
         strength = self.strength * jnp.maximum(0.0, 1 - z / 4) * beam.amplitude() ** 2
         strength = jnp.minimum(strength, 0.9 * (1 - background * beam.max_range))
         off = (heard - z) / spread
-        density = jnp.exp(-(off**2) / 2) / (spread * np.sqrt(2 * np.pi))
-        density = jnp.where(jnp.isfinite(beam.reading), density, 0.0)
         first = 1 - strength * ndtr(off) / (1 - background * heard)
         near = off > -4
-        return jnp.where(near, jnp.log((strength * density / background + 1) * first), 0.0), near
+        return jnp.where(near, jnp.log((strength * beam.density(spread) / background + 1) * first), 0.0), near
 
     def _p_specular(self, normal: Square, beam: Beam) -> Scalar:
         """P_s of the reading, from the surest wall that it has passed through."""
@@ -305,7 +303,7 @@ class LimCho(SumOfLogOdds):
         """See ``ReadingModel``."""
         heard, half = beam.heard(), self.thickness_m / 2
         inside = beam.inside(self.reach_m)
-        struck = inside & jnp.isfinite(beam.reading) & (jnp.abs(beam.distance - heard) < half)
+        struck = inside & beam.arc(half)
         passed = inside & (beam.distance <= heard - half)
         orientation, p_back = cells["orientation"], self._p_back(beam)
         seen = jnp.sum(orientation * p_back, axis=-1)

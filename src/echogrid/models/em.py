@@ -5,9 +5,9 @@ readings: an echo has one cause, so cells that share a cone compete for it. Sour
 Maps with Forward Sensor Models, Autonomous Robots 15 (2003).
 """
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple, override
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,7 +16,9 @@ from numpy import ndarray
 from echogrid.errors import UsageError
 from echogrid.frame import Frame
 from echogrid.geometry import compose, wrap
-from echogrid.grid import P_MIN, Grid, GrowingGrid, covered, logit
+from echogrid.grid import P_MIN, GrowingGrid, covered, logit
+from echogrid.models.batches import apart
+from echogrid.models.model import Evidence, Fusion, Model
 from echogrid.robot import Robot
 
 MAX_PAIRS = 20_000_000
@@ -29,7 +31,7 @@ _MOST_ROUNDS, _LEAST_GAIN, _APART = 200, 1e-6, 5
 """Rounds of flips at most; the least gain of a flip; cells within which one flip is made at a time."""
 
 
-class _Cones(NamedTuple):
+class Cones(NamedTuple):
     """Pairs of a reading and a cell in its cone, reading by reading, in each by distance."""
 
     cell: Int[ndarray, "pairs"]
@@ -46,7 +48,7 @@ class _Cones(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ForwardModel:
+class ForwardModel(Model):
     """A reading is random, or the echo of the k-th occupied cell in its cone, or nothing came back.
 
     p(z | m) = p_random / z_max + (1 - p_random) sum_k p_hit (1 - p_hit)^(k - 1) N(z; d_k, sigma), and for no echo
@@ -70,45 +72,29 @@ class ForwardModel:
     """Whether readings without echo are used."""
     name: str = "em"
 
-    def maps(self, frames: Iterable[Frame], robot: Robot, resolution: float) -> Iterator[Grid]:
-        """The map of a whole log, once; nothing for no frames.
+    @override
+    def told(self) -> dict[str, Any]:
+        return {"parameters": asdict(self)}
 
-        Args:
-            frames: a log; all of it is read before the map is made.
-            robot: the robot that drove.
-            resolution: side of a cell, m.
+    @override
+    def fusion(self, robot: Robot, resolution: float, half_life: float | None = None) -> Fusion:
+        self.refuse_fading(half_life)
+        return _WholeLog(robot, self, resolution)
 
-        Raises:
-            UsageError: the log or the map is too large.
-        """
-        kept = [(frame.pose, frame.ranges) for frame in frames]
-        if not kept:
-            return
-        poses, ranges = (np.array(column, dtype=float) for column in zip(*kept, strict=True))
-        reach = float(np.max(np.hypot(robot.mounts[:, 0], robot.mounts[:, 1]))) + self.reach_m + 2 * resolution
-        low = np.floor((poses[:, 1::-1].min(axis=0) - reach) / resolution).astype(np.int64)
-        high = np.ceil((poses[:, 1::-1].max(axis=0) + reach) / resolution).astype(np.int64)
-        grown = GrowingGrid(resolution)
-        grown.reserve(low, high)
-        rows, cols = (int(n) for n in high - low)
-        layers = grown.window(low, (rows, cols))
-        stood = covered(poses, robot.footprint_radius_m, low, (rows, cols), resolution)
-        cones = self._cones(robot, poses, ranges, low, (rows, cols), resolution)
-        log_odds = self._settle(cones, stood)
-        told = np.bincount(cones.cell, minlength=stood.size).reshape(stood.shape) > 0
-        layers["log_odds"][:] = np.where(stood, logit(P_MIN), log_odds)
-        layers["observed"][:] = told | stood
-        yield grown.grid()
-
-    def _cones(
+    def cones(
         self,
         robot: Robot,
         poses: Float[ndarray, "frames 3"],
         ranges: Float[ndarray, "frames sonars"],
         low: Int[ndarray, "2"],
-        shape: tuple[int, int],
+        cols: int,
         resolution: float,
-    ) -> _Cones:
+    ) -> Cones:
+        """The pairs of a log, on a map of so many columns that begins at the cell ``low`` [row, col].
+
+        Raises:
+            UsageError: there are more than MAX_PAIRS.
+        """
         sonars = compose(poses[:, None, :], robot.mounts[None]).reshape(-1, 3)
         z = ranges.reshape(-1)
         used = np.isfinite(z) | (np.isinf(z) & self.no_echo)
@@ -117,7 +103,7 @@ class ForwardModel:
         parts, pairs = [], 0
         for first in range(0, max(len(z), 1), chunk):
             some = slice(first, first + chunk)
-            cell, reading, density = self._pairs(robot, sonars[some], z[some], low, shape[1], resolution)
+            cell, reading, density = self._pairs(robot, sonars[some], z[some], low, cols, resolution)
             parts.append((cell, reading + first, density))
             pairs += len(cell)
             if pairs > MAX_PAIRS:
@@ -127,7 +113,7 @@ class ForwardModel:
                 )
         cell, reading, density = (np.concatenate(column) for column in zip(*parts, strict=True))
         start = np.searchsorted(reading, np.arange(len(z) + 1))
-        return _Cones(cell, reading, density, start, z <= self._reach(robot), 1 / robot.max_range_m)
+        return Cones(cell, reading, density, start, z <= self._reach(robot), 1 / robot.max_range_m)
 
     def _pairs(
         self,
@@ -138,7 +124,7 @@ class ForwardModel:
         cols: int,
         resolution: float,
     ) -> tuple[Int[ndarray, "pairs"], Int[ndarray, "pairs"], Float[ndarray, "pairs"]]:
-        """Cell, reading and density of each pair, see ``_Cones``."""
+        """Cell, reading and density of each pair, see ``Cones``."""
         reach = self._reach(robot)
         row, col = self._square(robot, resolution)
         home = np.floor(sonars[:, :2] / resolution).astype(np.int64)
@@ -166,7 +152,7 @@ class ForwardModel:
     def _reach(self, robot: Robot) -> float:
         return min(self.reach_m, robot.max_range_m)
 
-    def _settle(self, cones: _Cones, stood: Bool[ndarray, "rows cols"]) -> Float[ndarray, "rows cols"]:
+    def settle(self, cones: Cones, stood: Bool[ndarray, "rows cols"]) -> Float[ndarray, "rows cols"]:
         """Flip cells until no flip raises the likelihood; the log-odds of each cell given all others."""
         from scipy.ndimage import maximum_filter
 
@@ -193,9 +179,7 @@ class ForwardModel:
         evidence = np.where(occupied, -gain, gain) - logit(self.p_occupied)
         return (self.weight * evidence).astype(np.float32)
 
-    def _flips(
-        self, cones: _Cones, occupied: Bool[ndarray, "rows cols"]
-    ) -> tuple[float, Float[ndarray, "rows cols"]]:
+    def _flips(self, cones: Cones, occupied: Bool[ndarray, "rows cols"]) -> tuple[float, Float[ndarray, "rows cols"]]:
         """The likelihood log p(Z | m) + log p(m) but for a constant, and what the flip of each cell would add."""
         on = occupied.reshape(-1)[cones.cell]
         log_miss = np.log1p(-self.p_hit)
@@ -226,15 +210,51 @@ class ForwardModel:
         return float(np.sum(np.log(total)) + prior * np.sum(occupied)), gain
 
 
-def _running(values: Float[ndarray, "pairs"], cones: _Cones) -> Float[ndarray, "pairs"]:
+def _running(values: Float[ndarray, "pairs"], cones: Cones) -> Float[ndarray, "pairs"]:
     """Sum within each reading up to each pair, that pair with it."""
     total = np.cumsum(values)
     return total - np.append(0.0, total)[cones.start[cones.reading]]
 
 
-def _whole(running: Float[ndarray, "pairs"], cones: _Cones) -> Float[ndarray, "readings"]:
+def _whole(running: Float[ndarray, "pairs"], cones: Cones) -> Float[ndarray, "readings"]:
     """The running sum at the last pair of each reading, 0 for a reading without pairs."""
     held = cones.start[1:] > cones.start[:-1]
     whole = np.zeros(len(held))
     whole[held] = running[cones.start[1:][held] - 1]
     return whole
+
+
+class _WholeLog(Fusion):
+    """The whole log is one batch."""
+
+    def __init__(self, robot: Robot, model: ForwardModel, resolution: float):
+        self.blank = {}
+        self._model, self._resolution = model, resolution
+        super().__init__(robot)
+
+    @override
+    def batches(self, frames: Iterable[Frame]) -> Iterator[Sequence[Frame]]:
+        kept = list(apart(frames, self.robot))
+        if kept:
+            yield kept
+
+    @override
+    def read(self, batch: Sequence[Frame], filled: bool = False) -> Callable[[], Evidence]:
+        poses, ranges = np.array([frame.pose for frame in batch]), np.array([frame.ranges for frame in batch])
+        mounted = float(np.max(np.hypot(self.robot.mounts[:, 0], self.robot.mounts[:, 1])))
+        reach = mounted + self._model.reach_m + 2 * self._resolution
+        low = np.floor((poses[:, 1::-1].min(axis=0) - reach) / self._resolution).astype(np.int64)
+        high = np.ceil((poses[:, 1::-1].max(axis=0) + reach) / self._resolution).astype(np.int64)
+        # Whether there is room for the map is known only when it is to be fused.
+        return lambda: Evidence(low, high, (poses, ranges))
+
+    @override
+    def fuse(self, grown: GrowingGrid, evidence: Evidence) -> None:
+        rows, cols = (int(n) for n in evidence.end - evidence.corner)
+        poses, ranges = evidence.told
+        stood = covered(poses, self.robot.footprint_radius_m, evidence.corner, (rows, cols), self._resolution)
+        cones = self._model.cones(self.robot, poses, ranges, evidence.corner, cols, self._resolution)
+        told = np.bincount(cones.cell, minlength=stood.size).reshape(stood.shape) > 0
+        cells = grown.window(evidence.corner, (rows, cols))
+        cells["log_odds"][:] = np.where(stood, logit(P_MIN), self._model.settle(cones, stood))
+        cells["observed"][:] = told | stood

@@ -1,15 +1,10 @@
-"""Interpreters: what one scan, read as a whole, says of points round the robot; and the network, which is one.
-
-An interpreter is bound to a robot and to the points of its local map once; the bound function is traced by
-JAX and run on batches of scans.
-"""
+"""The paper's network: a perceptron that is asked, for a point, the sonars that look nearest to it."""
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, override
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,16 +12,12 @@ from jax.nn import sigmoid
 from jaxtyping import Array, Bool, Float, Int
 from numpy import ndarray
 
-from echogrid.errors import InputError, UsageError
-from echogrid.files import replacing
+from echogrid.errors import InputError
 from echogrid.geometry import wrap
+from echogrid.models.local_map import Bound, Interpreter
+from echogrid.models.model import LOOK_RAD
+from echogrid.models.weights import read_weights, write_weights
 from echogrid.robot import Robot
-
-Bound = Callable[[Float[Array, "scans sonars"]], tuple[Float[Array, "scans points"], Bool[Array, "scans points"]]]
-"""Scans -> occupancy probability of each point under the interpreter's prior, and where the scan spoke at all."""
-
-LOOK_RAD = np.deg2rad(30.0)
-"""A point farther than this off the axes of all sonars that fired is one that no sonar looks at."""
 
 LIMIT = 4.0
 """Log-odds at which the network's output levels off."""
@@ -34,33 +25,8 @@ LIMIT = 4.0
 ZONE, MOST_ZONE = 4, 8
 """Sonars that the network reads for a point: the paper's four, and the most that weights may ask for."""
 
-LOCAL_CELLS, LOCAL_CELL_M = 24, 0.12
-"""The paper's local map: 24 x 24 cells of 12 cm, the robot in its middle."""
-
-HALF_M = LOCAL_CELLS * LOCAL_CELL_M / 2
-"""Half the side of the local map: how far the mapper looks to each side."""
-
 FORMAT = "echogrid-mlp-1"
 """Of the weights file."""
-
-
-@runtime_checkable
-class Interpreter(Protocol):
-    """A sensor model that reads all sonars of a scan at once. Its views are fused by Bayes' rule."""
-
-    @property
-    def name(self) -> str:
-        """Name for reports."""
-        ...
-
-    @property
-    def prior(self) -> float:
-        """Occupancy probability that the model gives a point of which it knows nothing."""
-        ...
-
-    def bind(self, robot: Robot, p_robot: Float[ndarray, "points 2"]) -> Bound:
-        """Prepare for the points (m, robot frame) of a local map."""
-        ...
 
 
 class Zone(NamedTuple):
@@ -173,33 +139,13 @@ def looked_at(reading: Float[Array, "*n zone"], off_axis: Float[Array | ndarray,
     return jnp.any(~jnp.isnan(reading) & (jnp.abs(off_axis) <= LOOK_RAD), axis=-1)
 
 
-def read_weights(path: str | Path, *formats: str) -> dict[str, ndarray]:
-    """The arrays of a weights file of one of some formats, by name; ``format`` among them.
-
-    Raises:
-        InputError: not such a file.
-        UsageError: there is no file.
-    """
-    expected = f"a weights file ({' or '.join(formats)}, made by echogrid train)"
-    try:
-        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
-            arrays = {name: data[name] for name in data.files}
-    except FileNotFoundError:
-        raise UsageError(f"weights: found no file {path}, expected {expected}") from None
-    except Exception as error:  # numpy and zipfile raise many kinds for a damaged file
-        raise InputError(path, f"no such file content ({type(error).__name__})", expected) from None
-    if str(arrays.get("format")) not in formats:
-        raise InputError(path, f"format {str(arrays.get('format'))[:40]}", expected)
-    return arrays
-
-
 @dataclass(frozen=True)
-class Network:
+class Network(Interpreter):
     """The paper's multilayer perceptron over the zone of a point, with its weights."""
 
     layers: Layers
     """Weights and biases: input -> two hidden layers (ReLU) -> log-odds."""
-    prior: float
+    prior: float  # ty: ignore[incompatible-attribute-override] - frozen here, read alone there
     """Share of occupied points that it was trained under; subtracted from each view by the mapper."""
     recipe: dict[str, Any]
     """How the weights were made."""
@@ -210,8 +156,12 @@ class Network:
         """Sonars that it reads for a point."""
         return (len(self.layers[0][0]) - 1) // 6
 
+    @override
+    def told(self) -> dict[str, Any]:
+        return {"weights": self.recipe}
+
+    @override
     def bind(self, robot: Robot, p_robot: Float[ndarray, "points 2"]) -> Bound:
-        """Prepare for the points (m, robot frame) of a local map; see ``Interpreter``."""
         zone = zone_of(robot.mounts, p_robot, self.zone)
         off_axis, distance = zone.off_axis.astype(np.float32), zone.distance.astype(np.float32)
         # A missing sonar reads as one that did not fire: a column of nan behind the last sonar.
@@ -237,10 +187,7 @@ class Network:
     def save(self, path: str | Path) -> None:
         """Write the weights and their recipe (NPZ, no pickle)."""
         arrays = {f"{k}{i}": np.asarray(v) for i, wb in enumerate(self.layers) for k, v in zip("wb", wb, strict=True)}
-        with replacing(Path(path)) as temporary, temporary.open("wb") as file:
-            np.savez(
-                file, allow_pickle=False, format=FORMAT, prior=self.prior, recipe=json.dumps(self.recipe), **arrays
-            )
+        write_weights(path, FORMAT, self.recipe, {"prior": np.array(self.prior), **arrays})
 
     @staticmethod
     def load(path: str | Path) -> "Network":

@@ -6,16 +6,14 @@ from importlib import resources
 from pathlib import Path
 
 from echogrid.errors import UsageError
-from echogrid.models.beam import ReadingModel
 from echogrid.models.calculi import DempsterShafer, Fuzzy, Himm, MoravecElfes
 from echogrid.models.classical import Cone, ConeNoEcho, Elfes, LimCho, Muriel, Nav2, Nav2Clearing, Nav2Tuned
 from echogrid.models.em import ForwardModel
-from echogrid.models.network import FORMAT, Interpreter, Network, read_weights
+from echogrid.models.model import Model
+from echogrid.models.network import FORMAT, Network
 from echogrid.models.set_network import FORMAT as SET_FORMAT
 from echogrid.models.set_network import SetNetwork
-
-Model = SetNetwork | Interpreter | ReadingModel | ForwardModel
-
+from echogrid.models.weights import read_weights
 
 _WEIGHTS = resources.files("echogrid") / "weights"
 

@@ -14,7 +14,7 @@ from numpy import ndarray
 from echogrid.errors import InputError
 from echogrid.files import read_bytes
 from echogrid.grid import MAX_FILE_BYTES, P_MAX, P_MIN, Grid, logit
-from echogrid.robot import Keys, as_number, parse_yaml
+from echogrid.keys import Keys, as_number, parse_yaml
 
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.25
 """A cell above the first is drawn occupied, one below the second free: the defaults of Nav2's map_saver."""

@@ -16,10 +16,10 @@ from numpy import ndarray
 from echogrid.errors import EchogridError, InputError, UsageError
 from echogrid.files import made, plain_file, replacing
 from echogrid.grid import MAX_CELLS, MAX_FILE_BYTES, P_MAX, P_MIN, Grid, logit
+from echogrid.keys import as_number
 from echogrid.metrics import FREE, HIDDEN, SURFACE, Truth
+from echogrid.output.map_picture import draw_map
 from echogrid.output.map_server import COORDINATES_M, PIXELS, RESOLUTIONS_M, PgmMode, map_yaml, pgm, read_map_server
-from echogrid.output.picture import draw_map
-from echogrid.robot import as_number
 
 
 def write_map(

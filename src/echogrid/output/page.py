@@ -10,25 +10,23 @@ import html
 import json
 import re
 import zlib
-from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Integer, UInt8
+from jaxtyping import Float, Int, Integer, UInt8
 from numpy import ndarray
 
 from echogrid.errors import UsageError
 from echogrid.files import replacing
 from echogrid.frame import Frame
 from echogrid.geometry import wrap
-from echogrid.grid import P_MAX, P_MIN, Grid, sigmoid
+from echogrid.grid import P_MAX, P_MIN, Grid, span
+from echogrid.output.follower import SILENT_M
+from echogrid.output.recording import KeptMap, Recording
 from echogrid.robot import Robot
-
-MAX_SCANS, MAX_MAPS = 4000, 60
-"""A longer drive is thinned to at most so many scans, and as many maps of it on the way."""
 
 MAX_IMAGE_CELLS, MAX_IMAGE_SIDE = 4096 * 4096, 8192
 """The largest image that all browsers draw; of a larger map the page shows blocks of cells."""
@@ -39,103 +37,10 @@ MAX_CHANGES = 64_000_000
 TOLERANCE = 3
 """A cell of a map on the way is brought up to date when its code is off by more than this (p by 0.01)."""
 
-AHEAD = 2
-"""Batches of frames that ``build_map`` reads before it has fused the one whose map it yields: its WORKERS."""
-
-SILENT_M = 2.5
-"""No echo is drawn as a cone of this length: how far it reaches is not known, and long cones hide the map."""
-
 NOT_FIRED, NO_ECHO = 65535, 65534
 """Codes of a range; all others count ``units.range`` metres."""
 
 _ANGLE_UNIT = 1e-4
-_BAND_CELLS = 4_000_000
-
-
-@dataclass(frozen=True)
-class _Kept:
-    """The observed part of the map at one time."""
-
-    scans: int
-    """How many scans had been fused, or about as many."""
-    read: int
-    """How many scans had been read."""
-    origin: tuple[float, float]
-    """World x, y of the lower left corner of its first cell, m."""
-    resolution: float
-    """Side of a cell, m."""
-    shape: tuple[int, int]
-    """Rows and columns."""
-    packed: bytes
-    """Its codes, see ``_codes``, deflated."""
-
-    def codes(self) -> UInt8[ndarray, "rows cols"]:
-        """What ``_codes`` made of the map."""
-        return np.frombuffer(zlib.decompress(self.packed), dtype=np.uint8).reshape(self.shape)
-
-
-class Recording:
-    """A drive while it is mapped: its scans, and the map at some times, in memory that does not grow without end.
-
-    Past MAX_SCANS scans every other one is dropped, and from then on only every second is kept, and so on; likewise
-    past MAX_MAPS maps.
-    """
-
-    def __init__(self, robot: Robot):
-        self.robot = robot
-        self.scans = 0
-        """Number of frames added."""
-        self.stride = 1
-        """Every how many-th of them is kept; the last is kept besides."""
-        self._frames: list[tuple[int, Frame]] = []
-        self._last: Frame | None = None
-        self._maps: list[_Kept] = []
-        self._calls, self._map_stride, self._again = 0, 1, 0
-        self._read: deque[int] = deque(maxlen=AHEAD + 1)
-
-    def add(self, frame: Frame) -> None:
-        """Take the next frame of the log."""
-        self._last = frame
-        if self.scans % self.stride == 0:
-            self._frames.append((self.scans + 1, _copied(frame)))
-        self.scans += 1
-        if len(self._frames) > MAX_SCANS:
-            self._frames = self._frames[::2]
-            self.stride *= 2
-
-    def keep(self, grid: Grid) -> None:
-        """Keep a copy of the map so far.
-
-        Args:
-            grid: what ``build_map`` has just yielded; all maps of a recording have cells of one size on one lattice.
-        """
-        self._again = self._again + 1 if self._read and self._read[-1] == self.scans else 0
-        self._read.append(self.scans)
-        self._calls += 1
-        if (self._calls - 1) % self._map_stride:
-            return
-        part = _observed_part(grid)
-        if part is None:
-            return
-        # Of the first batches only the sum is known.
-        scans = self._read[0] if self._calls > AHEAD else self._read[0] * self._calls // (AHEAD + 1)
-        codes = zlib.compress(_codes(part).tobytes(), 1)
-        self._maps.append(_Kept(scans, self.scans, part.origin, part.resolution, part.shape, codes))
-        if len(self._maps) > MAX_MAPS:
-            self._maps = self._maps[::2]
-            self._map_stride *= 2
-
-    def frames(self) -> list[tuple[int, Frame]]:
-        """The kept frames, each with its number in the log, counted from 1; the last frame is always among them."""
-        if self._last is None or self._frames[-1][0] == self.scans:
-            return list(self._frames)
-        return [*self._frames, (self.scans, self._last)]
-
-    def maps(self) -> list[_Kept]:
-        """The kept maps that lack some of the scans, from the first to the last."""
-        # Who reads ahead yields the last maps after the last frame; one who reads a frame ahead yields two so.
-        maps = self._maps if self._again >= AHEAD else [replace(kept, scans=kept.read) for kept in self._maps]
-        return [kept for kept in maps if kept.scans < self.scans]
 
 
 class Page(Recording):
@@ -148,12 +53,6 @@ class Page(Recording):
     def finish(self, grid: Grid) -> None:
         """Write the page, see ``write_page``."""
         write_page(self.path, grid, self, self.title)
-
-
-def _copied(frame: Frame) -> Frame:
-    # A reader's arrays may be rows of a large one, which would stay in memory for each of them.
-    mounts = None if frame.mounts is None else frame.mounts.astype(np.float32)
-    return replace(frame, pose=frame.pose.copy(), ranges=frame.ranges.astype(np.float32), mounts=mounts)
 
 
 def write_page(path: str | Path, grid: Grid, recording: Recording, title: str) -> None:
@@ -251,29 +150,6 @@ def _box(facts: dict[str, Any], frames: list[tuple[int, Frame]]) -> list[float]:
     return [*low.tolist(), *high.tolist()]
 
 
-def _codes(grid: Grid) -> UInt8[ndarray, "rows cols"]:
-    """Probabilities in a byte: 0 not observed, else 1 (P_MIN) to 255 (P_MAX)."""
-    codes = np.zeros(grid.shape, dtype=np.uint8)
-    band = max(1, _BAND_CELLS // max(1, grid.shape[1]))
-    for row in range(0, grid.shape[0], band):
-        rows = np.s_[row : row + band]
-        p = np.clip(sigmoid(grid.log_odds[rows]), P_MIN, P_MAX)
-        codes[rows] = np.where(grid.observed[rows], np.rint(1 + 254 * (p - P_MIN) / (P_MAX - P_MIN)), 0)
-    return codes
-
-
-def _observed_part(grid: Grid) -> Grid | None:
-    """The smallest rectangle that holds all that was observed; None if nothing was."""
-    rows, cols = (np.flatnonzero(grid.observed.any(axis=axis)) for axis in (1, 0))
-    if not rows.size:
-        return None
-    part = np.s_[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-    x, y = grid.origin
-    origin = x + float(cols[0]) * grid.resolution, y + float(rows[0]) * grid.resolution
-    views = None if grid.views is None else grid.views[part]
-    return Grid(grid.log_odds[part], grid.observed[part], grid.resolution, origin, views)
-
-
 @dataclass(frozen=True)
 class _Lattice:
     """The cells of the page: blocks of cells of the map."""
@@ -316,13 +192,8 @@ def _maps(grid: Grid, recording: Recording) -> tuple[dict[str, Any], dict[str, n
     """
     if any(kept.resolution != grid.resolution for kept in recording.maps()):
         raise UsageError(f"page: found maps of other cells than {grid.resolution:g} m, expected one size of cells")
-    final = _observed_part(grid) or Grid(grid.log_odds[:1, :1], grid.observed[:1, :1], grid.resolution, grid.origin)
-    codes = _codes(final)
-    packed = zlib.compress(codes.tobytes(), 1)
-    kept = [
-        *recording.maps(),
-        _Kept(recording.scans, recording.scans, final.origin, final.resolution, final.shape, packed),
-    ]
+    final = grid.observed_part() or Grid(grid.log_odds[:1, :1], grid.observed[:1, :1], grid.resolution, grid.origin)
+    kept = [*recording.maps(), KeptMap.of(final, recording.scans, recording.scans)]
     corners = [_cell_at(grid, part.origin) for part in kept]
     ends = [corner + part.shape for corner, part in zip(corners, kept, strict=True)]
     lattice = _Lattice.holding(np.min(corners, axis=0), np.max(ends, axis=0))
@@ -351,7 +222,7 @@ def _cell_at(grid: Grid, origin: tuple[float, float]) -> Int[ndarray, "2"]:
 
 
 def _chain(
-    kept: list[tuple[Int[ndarray, "2"], _Kept]], lattice: _Lattice
+    kept: list[tuple[Int[ndarray, "2"], KeptMap]], lattice: _Lattice
 ) -> tuple[list[dict[str, int]], UInt8[ndarray, "_"]]:
     """Steps and differences of maps, each with the cell [row, col] at which it begins; see ``_maps``."""
     shown = np.zeros(lattice.shape, dtype=np.uint8)
@@ -363,7 +234,7 @@ def _chain(
             # A step says nothing of what hardly changed; the next one sees what the page shows, so nothing adds up.
             far = np.abs(codes.astype(np.int16) - shown) > TOLERANCE
             changed &= far | (codes == 0) | (shown == 0)
-        rows, cols = _span(changed.any(axis=1)), _span(changed.any(axis=0))
+        rows, cols = span(changed.any(axis=1)), span(changed.any(axis=0))
         change = np.where(changed, codes - shown, np.uint8(0))[rows, cols]
         shown[rows, cols] += change
         steps.append({"scans": part.scans, "row": rows.start, "col": cols.start})
@@ -373,12 +244,6 @@ def _chain(
         if total > MAX_CHANGES and len(kept) > 2:
             return _chain([*kept[:-1][1::2], kept[-1]], lattice)
     return steps, np.concatenate(changes)
-
-
-def _span(marked: Bool[ndarray, "n"]) -> slice:
-    """From the first that is marked to the last; empty if none is."""
-    at = np.flatnonzero(marked)
-    return slice(int(at[0]), int(at[-1]) + 1) if at.size else slice(0, 0)
 
 
 def _filled(facts: dict[str, Any], arrays: dict[str, ndarray], title: str) -> str:

@@ -5,7 +5,7 @@ of a bag and those of a network are read alike. They may come from anyone: nothi
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
@@ -23,6 +23,13 @@ TF, TF_OLD, ODOMETRY = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", "nav_msgs/m
 
 SONARS = (RANGE, SONAR_ARRAY, CLOUD, CLOUD2)
 """Types that carry readings of sonars, the best first."""
+
+
+SHOWN = 6
+"""Names that a message lists at most."""
+
+_LONGEST = 100
+"""Characters of a name that a message shows at most."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +54,13 @@ class Sonar(NamedTuple):
     topic: str
     frame: str
 
+    def __str__(self) -> str:
+        return f"{self.frame} on {self.topic}"
+
     @property
-    def order(self) -> tuple[object, ...]:
-        """What sonars are sorted by: by name, numbers as numbers."""
-        parts = re.split(r"(\d+)", f"{self.topic} {self.frame}")
-        return tuple((0, int(part[:18]), "") if part.isdigit() else (1, 0, part) for part in parts)
+    def order(self) -> list[tuple[int, str]]:
+        """What sonars are sorted by."""
+        return natural(f"{self.topic} {self.frame}")
 
 
 class RangeSaid(NamedTuple):
@@ -135,3 +144,29 @@ def points_of(message: Any) -> Float[ndarray, "points 2"] | None:
 
 
 _FLOAT32 = 7
+
+
+def natural(name: str) -> list[tuple[int, str]]:
+    """What names are sorted by for numbers to count as numbers: sonar_2 before sonar_10."""
+    return [(int(part[:18]), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
+def short(name: str) -> str:
+    """A name as a message shows it."""
+    return name if len(name) <= _LONGEST else name[:_LONGEST] + "..."
+
+
+def few(names: Iterable[object]) -> str:
+    """Names, or what is told by name, for a message: those that differ by numbers alone are one, as a pattern of
+    --topics.
+    """
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for name in map(str, names):
+        alike.setdefault(tuple(re.split(r"\d+", name)), []).append(name)
+    parts: list[str] = []
+    for each in alike.values():
+        pieces = zip(*(re.split(r"(\d+)", name) for name in each), strict=True)
+        pattern = "".join(piece[0] if len(set(piece)) == 1 else "*" for piece in pieces)
+        parts += [f"{short(pattern)} ({len(each)} of them)"] if len(each) > 2 else map(short, each)
+    shown = ", ".join(parts[:SHOWN]) or "nothing"
+    return f"{shown} and {len(parts) - SHOWN} more" if len(parts) > SHOWN else shown

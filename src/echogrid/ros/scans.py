@@ -5,8 +5,8 @@ between, the frame says from where each of them looked.
 """
 
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
-from math import hypot, inf, isfinite, isnan, nan, radians
+from collections.abc import Iterator
+from math import inf, isnan, nan, radians
 from statistics import median
 
 import numpy as np
@@ -15,8 +15,9 @@ from numpy import ndarray
 
 from echogrid.frame import Frame
 from echogrid.geometry import wrap
-from echogrid.robot import TRANSDUCERS, Robot
-from echogrid.ros.transforms import IDENTITY, JUMP_S, Transforms, compose, inverse, planar, slope, stands_still
+from echogrid.robot import Robot
+from echogrid.ros.rigid import IDENTITY, Rigid, compose, inverse, planar
+from echogrid.ros.transforms import JUMP_S, Transforms
 
 SILENT_S = 1.0
 """A sonar that was not heard for longer, and for five of its periods, is not waited for."""
@@ -42,96 +43,10 @@ SAME_M, SAME_RAD = 0.002, radians(0.2)
 _AT_ONCE_S = 1e-3
 """Readings no farther apart in time are of one pose."""
 
-BEAM_WIDTH_RAD = radians(25.0)
-"""Taken for a sonar that does not say its own."""
-
-MIN_RANGE_M, MAX_RANGE_M = 0.0, 100.0
-"""Limits of the range for a sonar that does not say its own."""
-
 LATE = "a reading older than the one before of its sonar"
 REPEATED = "a reading that came twice"
 BACK = "a clock that jumped back"
 NO_POSE = "a scan without a pose at its time"
-
-
-def reading(range_m: float, min_range_m: float, max_range_m: float) -> float:
-    """A reading by REP 117 and its sonar's limits: +inf no echo, nan not valid, else the range (m).
-
-    +inf, or at or past the maximum: no echo. -inf (too close), nan, 0 and less, below the minimum: not valid. A limit
-    that is no positive number limits nothing.
-    """
-    if isnan(range_m) or range_m <= 0 or (isfinite(min_range_m) and range_m < min_range_m):
-        return nan
-    if max_range_m > 0 and range_m >= max_range_m:
-        return inf
-    return inf if range_m > MAX_RANGE_M else range_m
-
-
-def beam_width(field_of_view: float) -> float | None:
-    """A beam width (rad) if it can be one, else None."""
-    return field_of_view if radians(1.0) <= field_of_view <= radians(180.0) else None
-
-
-def robot_of(
-    name: str,
-    mounts: Float[ndarray, "sonars 3"],
-    beam_widths: Sequence[float],
-    limits: Sequence[tuple[float, float]],
-) -> Robot:
-    """The robot as far as messages describe it.
-
-    Args:
-        name: what to call it.
-        mounts: m, m, rad.
-        beam_widths: of the sonars that say one, rad.
-        limits: minimum and maximum range that the sonars say, m.
-
-    Returns:
-        A robot with the widest limits of its sonars, the median of their beam widths, a footprint that reaches to the
-        farthest mount, and a Polaroid 600 for its transducer, which mapping does not read.
-    """
-    lows = [low for low, _ in limits if 0 <= low < MAX_RANGE_M]
-    highs = [high for _, high in limits if 0 < high <= MAX_RANGE_M]
-    low, high = min(lows, default=MIN_RANGE_M), max(highs, default=MAX_RANGE_M)
-    return Robot(
-        name=name,
-        footprint_radius_m=max(hypot(x, y) for x, y, _ in mounts.tolist()),
-        transducer=TRANSDUCERS["polaroid-600"],
-        min_range_m=low if low < high else MIN_RANGE_M,
-        max_range_m=high,
-        beam_width_rad=median(beam_widths) if beam_widths else BEAM_WIDTH_RAD,
-        mounts=mounts,
-    )
-
-
-def mount(transforms: Transforms, base: str, frame: str, stamp: float) -> Float[ndarray, "3"] | str | None:
-    """Where a sonar's frame sits on the robot: x, y (m), axis (rad).
-
-    None if nothing joins the two frames at the time (s); a few words if there is no such mount in the plane.
-    """
-    rigid = IDENTITY if frame.lstrip("/") == base else transforms.rigid(base, frame, stamp, reach=inf)
-    if rigid is None:
-        return None
-    if abs(slope(rigid)) > 0.7:
-        return "an axis that points up or down"
-    x, y, axis = planar(rigid)
-    return np.array([x, y, axis]) if max(abs(x), abs(y)) <= 10.0 else "a place more than 10 m from the robot"
-
-
-def base_of(transforms: Transforms, frame: str) -> str:
-    """The frame of the robot that carries a frame: the first below the frames that stand still.
-
-    Where tf does not lead that far up, the root of what there is.
-    """
-    line = transforms.line(frame)
-    return next((name for name in reversed(line) if not stands_still(name)), line[-1])
-
-
-def fixed_of(transforms: Transforms, base: str) -> str | None:
-    """The frame to map in: ``map`` if the robot's pose leads up to one, else the highest; None if there is none."""
-    above = transforms.line(base)[1:]
-    maps = (name for name in above if stands_still(name) and "map" in name.split("/")[-1])
-    return next(maps, above[-1] if above else None)
 
 
 class Scans:
@@ -261,22 +176,33 @@ class Scans:
             ranges[number] = value
         mounts = None
         if end - min(stamps) > _AT_ONCE_S:
-            mounts = self.robot.mounts.copy()
-            back, poses = inverse(there), {end: IDENTITY}
-            for number, (stamp, _) in scan.items():
-                if end - stamp <= _AT_ONCE_S:
-                    continue
-                if stamp not in poses:
-                    then = self._transforms.rigid(self.fixed, self.base, stamp, reach, hold)
-                    if then is None:
-                        return None
-                    poses[stamp] = compose(back, then)
-                x, y, turn = planar(poses[stamp])
-                mx, my, axis = self.robot.mounts[number]
-                cos, sin = np.cos(turn), np.sin(turn)
-                mounts[number] = x + cos * mx - sin * my, y + sin * mx + cos * my, axis + turn
+            mounts = self._mounts(scan, end, there, reach, hold)
+            if mounts is None:
+                return None
             moved = np.abs(mounts - self.robot.mounts)
             if np.all(moved[:, :2] < SAME_M) and np.all(np.abs(wrap(moved[:, 2])) < SAME_RAD):
                 mounts = None
         self._stamp = max(self._stamp, end)
         return Frame(self._stamp, np.array(planar(there)), ranges, mounts=mounts)
+
+    def _mounts(
+        self, scan: dict[int, tuple[float, float]], end: float, there: Rigid, reach: float, hold: bool
+    ) -> Float[ndarray, "sonars 3"] | None:
+        """Where each sonar was when it fired, as seen from the robot at the end (m, m, rad); None if that is not
+        known of all.
+        """
+        mounts = self.robot.mounts.copy()
+        back, poses = inverse(there), {end: IDENTITY}
+        for number, (stamp, _) in scan.items():
+            if end - stamp <= _AT_ONCE_S:
+                continue
+            if stamp not in poses:
+                then = self._transforms.rigid(self.fixed, self.base, stamp, reach, hold)
+                if then is None:
+                    return None
+                poses[stamp] = compose(back, then)
+            x, y, turn = planar(poses[stamp])
+            mx, my, axis = self.robot.mounts[number]
+            cos, sin = np.cos(turn), np.sin(turn)
+            mounts[number] = x + cos * mx - sin * my, y + sin * mx + cos * my, axis + turn
+        return mounts

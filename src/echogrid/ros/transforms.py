@@ -8,12 +8,13 @@ way, as tf2 does.
 import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
-from math import atan2, hypot, isfinite, sqrt
-from typing import NamedTuple
+from math import hypot, isfinite, sqrt
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
+
+from echogrid.ros.rigid import IDENTITY, Rigid, between, compose, inverse, planar
 
 MAX_FRAMES = 2_000
 """Frames that are kept apart; names beyond are refused, for they are made up."""
@@ -37,86 +38,10 @@ _FAR_M = 1e7
 """A translation beyond is no place."""
 
 
-class Rigid(NamedTuple):
-    """A pose in space: translation (m) and rotation (unit quaternion x, y, z, w)."""
-
-    translation: tuple[float, float, float]
-    rotation: tuple[float, float, float, float]
-
-
-IDENTITY = Rigid((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-
-
 def stands_still(frame: str) -> bool:
     """Whether the name of a frame says that it does not move: map, odom, world, ``r1/odom``, ``odom_frame``."""
     last = frame.rsplit("/", 1)[-1]
     return _STANDS.search(last) is not None and "base" not in last
-
-
-def compose(a: Rigid, b: Rigid) -> Rigid:
-    """T_x_z from T_x_y and T_y_z."""
-    x, y, z = _turned(a.rotation, b.translation)
-    ax, ay, az = a.translation
-    return Rigid((ax + x, ay + y, az + z), _product(a.rotation, b.rotation))
-
-
-def inverse(a: Rigid) -> Rigid:
-    """T_y_x from T_x_y."""
-    x, y, z, w = a.rotation
-    back = (-x, -y, -z, w)
-    tx, ty, tz = _turned(back, a.translation)
-    return Rigid((-tx, -ty, -tz), back)
-
-
-def planar(a: Rigid) -> tuple[float, float, float]:
-    """A pose in the plane: x, y (m) and the bearing (rad) of the frame's x axis."""
-    x, y, z, w = a.rotation
-    return a.translation[0], a.translation[1], atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-
-
-def slope(a: Rigid) -> float:
-    """How far the x axis of a frame points up (1) or down (-1); 0 in the plane."""
-    x, y, z, w = a.rotation
-    return 2 * (x * z - w * y)
-
-
-def _product(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float, float]:
-    ax, ay, az, aw = a
-    bx, by, bz, bw = b
-    return (
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-        aw * bw - ax * bx - ay * by - az * bz,
-    )
-
-
-def _turned(q: Sequence[float], v: Sequence[float]) -> tuple[float, float, float]:
-    x, y, z, w = q
-    vx, vy, vz = v
-    tx, ty, tz = 2 * (y * vz - z * vy), 2 * (z * vx - x * vz), 2 * (x * vy - y * vx)
-    return (
-        vx + w * tx + y * tz - z * ty,
-        vy + w * ty + z * tx - x * tz,
-        vz + w * tz + x * ty - y * tx,
-    )
-
-
-def _between(a: Rigid, b: Rigid, share: float) -> Rigid:
-    (ax, ay, az), (bx, by, bz) = a.translation, b.translation
-    q, r = a.rotation, b.rotation
-    sign = 1.0 if sum(u * v for u, v in zip(q, r, strict=True)) >= 0 else -1.0
-    # The heading turns evenly, which the mean of two quaternions would not do; the tilt is small.
-    yaw0, yaw1 = planar(a)[2], planar(b)[2]
-    turned = (yaw1 - yaw0 + np.pi) % (2 * np.pi) - np.pi
-    x, y, z, w = (u + share * (sign * v - u) for u, v in zip(q, r, strict=True))
-    norm = sqrt(x * x + y * y + z * z + w * w) or 1.0
-    mixed = Rigid(
-        (ax + share * (bx - ax), ay + share * (by - ay), az + share * (bz - az)),
-        (x / norm, y / norm, z / norm, w / norm),
-    )
-    half = (yaw0 + share * turned - planar(mixed)[2]) / 2
-    return Rigid(mixed.translation, _product((0.0, 0.0, np.sin(half), np.cos(half)), mixed.rotation))
 
 
 class _Edge:
@@ -170,7 +95,7 @@ class _Edge:
         a, b = poses[after - 1], poses[after]
         if end - start > JUMP_S and _moved(a, b):
             return b if stamp > end else a if self.corrects else None
-        return _between(a, b, (stamp - start) / (end - start))
+        return between(a, b, (stamp - start) / (end - start))
 
 
 def _moved(a: Rigid, b: Rigid) -> bool:
@@ -272,10 +197,10 @@ class Transforms:
 
     def moves(self, target: str, source: str) -> bool:
         """Whether any edge between two frames is not static."""
-        edges = self._between(target, source)
+        edges = self._edges_between(target, source)
         return edges is None or any(not edge.static for side in edges for edge in side)
 
-    def _between(self, target: str, source: str) -> tuple[list[_Edge], list[_Edge]] | None:
+    def _edges_between(self, target: str, source: str) -> tuple[list[_Edge], list[_Edge]] | None:
         """The edges from the target up to the common frame, and from the source up to it."""
         up, down = self.line(target), self.line(source)
         shared = next((name for name in down if name in up), None)
@@ -288,7 +213,7 @@ class Transforms:
         """From when until when (s) one frame is known in another; all time if nothing between them moves, None if
         nothing joins them.
         """
-        edges = self._between(target, source)
+        edges = self._edges_between(target, source)
         if edges is None:
             return None
         moving = [edge.stamps for side in edges for edge in side if not edge.static]
@@ -305,7 +230,7 @@ class Transforms:
                 last as it went on.
             hold: whether the last correction of a frame that does not move, such as odom in map, holds for ever.
         """
-        edges = self._between(target, source)
+        edges = self._edges_between(target, source)
         if edges is None:
             return None
         up, down = edges

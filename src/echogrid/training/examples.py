@@ -1,31 +1,24 @@
-"""Training examples: simulated short drives, and points of the world with the looks at them.
+"""What the paper's network learns from: points of the world with the looks at them.
 
-An example is a point of the world with up to VIEWS looks at it from along a short drive, each from a world, an
-array and a physics of its own.
+An example is a point of the world with up to VIEWS looks at it from along a short drive.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Int8, Integer
+from jaxtyping import Array, Float, Integer
 from numpy import ndarray
 from scipy.ndimage import distance_transform_edt
-from tqdm import tqdm
 
-from echogrid.errors import UsageError
 from echogrid.geometry import inverse, transform
-from echogrid.mapping.build import in_cells, local_cells
 from echogrid.metrics import FREE, HIDDEN, SURFACE, Truth
-from echogrid.models.network import HALF_M, LOCAL_CELL_M, LOCAL_CELLS, ZONE, Zone, zone_of
+from echogrid.models.local_map import HALF_M, LOCAL_CELL_M, LOCAL_CELLS, in_cells, local_cells
+from echogrid.models.network import ZONE, Zone, zone_of
 from echogrid.robot import Robot
-from echogrid.simulation.acoustics import acoustics
-from echogrid.simulation.drive import truth_of
-from echogrid.simulation.echo import Scene
-from echogrid.simulation.rooms import random_physics, random_robot, random_transducer, random_world
-from echogrid.simulation.simulate import disturb, drives_ranges, sonar_poses
+from echogrid.simulation.simulate import disturb
 from echogrid.simulation.world import World
+from echogrid.training.drives import Drive, Driven, Kind, Points, picked, simulated
 
 FRAMES = 48
 """Frames of a training drive."""
@@ -36,17 +29,8 @@ VIEWS = 16
 POINTS = (20, 20, 8, 12)
 """Points of a drive: surface, free within 0.4 m of a surface, free elsewhere, hidden."""
 
-SHAPE_SHARES = {"contour": 0.3, "room": 0.4, "corridor": 0.2, "hall": 0.1}
-"""How often each kind of world comes."""
-
-_WALLS = _TARGETS = 40
-"""Walls and targets of a scene; worlds with more are drawn again."""
-
-_MOST_TRIES = 500
-"""Worlds that are tried for a drive before the robot is given up as too large for them."""
-
-_CHUNK = 16
-"""Drives that are simulated together."""
+MOST_SONARS = 24
+"""Most sonars of a random robot."""
 
 
 class Examples(NamedTuple):
@@ -64,23 +48,12 @@ class Examples(NamedTuple):
     frame: Integer[ndarray | Array, "drives points views"]
     """The frame of each look; -1: no such look."""
     at: Float[ndarray | Array, "drives points views 2"]
-    """Where the point lies in that frame's local map, see ``mapping.surrounding``."""
+    """Where the point lies in that frame's local map, see ``surrounding``."""
     label: Integer[ndarray | Array, "drives points"]
     """1 = surface, 0 = free, 2 = hidden."""
 
 
-@dataclass(frozen=True)
-class _Drive:
-    world: World
-    robot: Robot
-    poses: Float[ndarray, "frames 3"]
-    believed: Float[ndarray, "frames 3"]
-    """The poses that the mapper is told."""
-    points: Float[ndarray, "points 2"]
-    label: Int8[ndarray, "points"]
-
-
-def random_drive(rng: np.random.Generator, world: World, clearance: float) -> Float[ndarray, "frames 3"] | None:
+def random_way(rng: np.random.Generator, world: World, clearance: float) -> Float[ndarray, "frames 3"] | None:
     """A short smooth drive of FRAMES poses that keeps ``clearance`` (m) from everything; None: no room found.
 
     Steps are from 1 to 20 cm, now and then the robot stands still; the heading follows the way, or is any.
@@ -106,7 +79,7 @@ def random_drive(rng: np.random.Generator, world: World, clearance: float) -> Fl
     return np.column_stack([way[best], heading[best] + turn + spin])
 
 
-def _points_of(rng: np.random.Generator, truth: Truth) -> tuple[Float[ndarray, "n 2"], Int8[ndarray, "n"]] | None:
+def _points_of(rng: np.random.Generator, truth: Truth, _: Float[ndarray, "frames 3"]) -> Points | None:
     """Cell centres of a truth grid: fixed numbers of surface, near free, far free and hidden ones."""
     gap = distance_transform_edt(truth.cells != SURFACE) * truth.resolution
     free = truth.cells == FREE
@@ -116,38 +89,21 @@ def _points_of(rng: np.random.Generator, truth: Truth) -> tuple[Float[ndarray, "
         free & (gap >= 0.4),
         (truth.cells == HIDDEN) & (gap < 1.0),
     ]
-    picked = []
-    for cells, count in zip(kinds, POINTS, strict=True):
-        index = np.argwhere(cells)
-        if len(index) < 4:
-            return None
-        picked.append(index[rng.integers(0, len(index), count)])
-    rows, cols = np.concatenate(picked).T
-    centre = (np.column_stack([cols, rows]) + 0.5) * truth.resolution + truth.origin
-    return centre, truth.cells[rows, cols]
+    return picked(rng, truth, list(zip(kinds, POINTS, strict=True)))
 
 
-def _drive(rng: np.random.Generator, robot: Robot) -> _Drive:
-    for _ in range(_MOST_TRIES):
-        shape = str(rng.choice(list(SHAPE_SHARES), p=list(SHAPE_SHARES.values())))
-        world = random_world(rng, shape)
-        if len(world.walls) > _WALLS or len(world.vertices[1]) + len(world.cylinders) > _TARGETS:
-            continue
-        poses = random_drive(rng, world, robot.footprint_radius_m + 0.05)
-        if poses is None:
-            continue
-        points = _points_of(rng, truth_of(world, poses, LOCAL_CELL_M, HALF_M))
-        if points is None:
-            continue
-        off = rng.choice([0.0, 0.01, 0.02]) * rng.standard_normal((FRAMES, 3)) * [1, 1, 0.5]
-        return _Drive(world, robot, poses, poses + off, *points)
-    raise UsageError(
-        f"robot {robot.name}: found no room to drive in among {_MOST_TRIES}, expected a footprint_radius_m of "
-        f"less than about 1 m (it is {robot.footprint_radius_m:g})"
-    )
+KIND = Kind(
+    FRAMES,
+    {"contour": 0.3, "room": 0.4, "corridor": 0.2, "hall": 0.1},
+    random_way,
+    _points_of,
+    LOCAL_CELL_M,
+    HALF_M,
+)
+"""The drives."""
 
 
-def _views(rng: np.random.Generator, drive: _Drive, zone: Zone, ranges: Float[ndarray, "frames sonars"]) -> Examples:
+def _views(rng: np.random.Generator, drive: Drive, zone: Zone, ranges: Float[ndarray, "frames sonars"]) -> Examples:
     """The looks at each point of a drive from frames whose local map holds it."""
     T_robot_world = inverse(drive.believed)
     at = np.asarray(in_cells(transform(T_robot_world[None], drive.points[:, None])))
@@ -167,64 +123,27 @@ def _views(rng: np.random.Generator, drive: _Drive, zone: Zone, ranges: Float[nd
     )
 
 
+def _example(rng: np.random.Generator, driven: Driven, zone: int, most: int) -> Examples:
+    """A drive with all that disturbs its readings, padded."""
+    d = driven.drive
+    told = d.robot.clean(disturb(driven.ranges, driven.physics, d.robot.max_range_m, rng))
+    silent = rng.random(told.shape) < rng.choice([0.0, 0.0, rng.uniform(0, 0.6)])
+    padded = np.full((FRAMES, most + 1), np.nan)
+    padded[:, : d.robot.sonars] = np.where(silent, np.nan, told)
+    return _views(rng, d, zone_of(d.robot.mounts, local_cells(), zone), padded)
+
+
 def generate(robot: Robot | None, drives: int, seed: int, progress: bool = False, zone: int = ZONE) -> Examples:
     """Labelled examples from simulated drives.
 
     Args:
-        robot: the array to drive with; None: a new random one (or preset) for each drive.
-        drives: number of drives, each in a world and under a physics of its own.
+        robot: as for ``simulated``, as are the next three.
+        drives: number of drives.
         seed: decides everything.
         progress: show a bar where there is a terminal.
         zone: sonars that the network is to read for a point; drives and readings do not depend on it.
     """
-    rng = np.random.default_rng(seed)
-    parts: list[Examples] = []
-    bar = tqdm(total=drives, desc="drives", unit="drive", disable=None if progress else True)
-    waiting: list[Callable[[], list[Examples]]] = []
-    for _ in range(0, drives, _CHUNK):
-        # The simulator works on one chunk while the next is laid out.
-        waiting.append(_begin(rng.spawn(1)[0], robot, zone))
-        if len(waiting) > 1:
-            parts += waiting.pop(0)()
-            bar.update(_CHUNK)
-    parts += waiting.pop()()
-    bar.update(_CHUNK)
-    bar.close()
-    return stack(parts[:drives])
-
-
-def _begin(rng: np.random.Generator, robot: Robot | None, zone: int) -> Callable[[], list[Examples]]:
-    """Lay out a chunk of drives and set the simulator on them; the result waits for it and makes examples."""
-    batch = [_drive(rng, robot or random_robot(rng)) for _ in range(_CHUNK)]
-    physics = [random_physics(rng) for _ in batch]
-    heads = [d.robot.transducer if robot and rng.random() < 0.5 else random_transducer(rng) for d in batch]
-    scenes = stack([Scene.of(d.world, _WALLS, _TARGETS) for d in batch])
-    air = stack([acoustics(head, p) for head, p in zip(heads, physics, strict=True)])
-    mounts = np.zeros((_CHUNK, FRAMES, robot.sonars if robot else 24, 3), dtype=np.float32)
-    for i, d in enumerate(batch):
-        mounts[i, :, : d.robot.sonars] = sonar_poses(bent(rng, d.robot.mounts), d.poses)
-    noise = np.array([p.level_noise_db for p in physics])[:, None, None]
-    level = (noise * rng.standard_normal(mounts.shape[:3])).astype(np.float32)
-    heard = drives_ranges(scenes, air, mounts[..., :2], mounts[..., 2], level)
-
-    def finish() -> list[Examples]:
-        examples = []
-        for d, p, ranges in zip(batch, physics, np.asarray(heard, dtype=float), strict=True):
-            told = d.robot.clean(disturb(ranges[:, : d.robot.sonars], p, d.robot.max_range_m, rng))
-            silent = rng.random(told.shape) < rng.choice([0.0, 0.0, rng.uniform(0, 0.6)])
-            padded = np.full((FRAMES, mounts.shape[2] + 1), np.nan)
-            padded[:, : d.robot.sonars] = np.where(silent, np.nan, told)
-            examples.append(_views(rng, d, zone_of(d.robot.mounts, local_cells(), zone), padded))
-        return examples
-
-    return finish
-
-
-def bent(rng: np.random.Generator, mounts: Float[ndarray, "sonars 3"]) -> Float[ndarray, "sonars 3"]:
-    """The mounts as they really are: a little off what the robot file says."""
-    return mounts + rng.choice([0.0, 1.0]) * rng.standard_normal(mounts.shape) * [0.004, 0.004, 0.02]
-
-
-def stack[T: tuple](items: list[T]) -> T:
-    """A tuple of arrays from tuples of their parts."""
-    return type(items[0])(*(np.stack([np.asarray(v) for v in field]) for field in zip(*items, strict=True)))
+    most = robot.sonars if robot else MOST_SONARS
+    return simulated(
+        robot, KIND, lambda _: MOST_SONARS, partial(_example, zone=zone, most=most), drives, seed, progress
+    )

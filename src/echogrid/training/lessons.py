@@ -1,31 +1,23 @@
-"""Lessons: simulated drives through random worlds, from which the set network learns through the map.
+"""What the set network learns from through the map: simulated drives.
 
 A lesson keeps the drive as the mapper would get it (poses, mounts, readings) and points of the world with what is
 really there, so that a loss can look at any point from any frame.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Int8, Integer
+from jaxtyping import Array, Float, Integer
 from numpy import ndarray
 from scipy.ndimage import distance_transform_edt
-from tqdm import tqdm
 
-from echogrid.errors import UsageError
 from echogrid.geometry import wrap
 from echogrid.metrics import FREE, HIDDEN, SURFACE, Truth
 from echogrid.models.memory import Memory
 from echogrid.robot import Robot
-from echogrid.simulation.acoustics import Physics, acoustics
-from echogrid.simulation.drive import truth_of
-from echogrid.simulation.echo import Scene
-from echogrid.simulation.rooms import random_physics, random_robot, random_transducer, random_world
-from echogrid.simulation.simulate import disturb, drives_ranges, passers_by, sonar_poses
+from echogrid.simulation.simulate import disturb, passers_by
 from echogrid.simulation.world import World
-from echogrid.training.examples import bent, stack
+from echogrid.training.drives import Driven, Kind, Points, picked, simulated
 
 FRAMES = 80
 """Frames of a drive."""
@@ -40,18 +32,11 @@ TRUTH_M, REACH_M = 0.1, 2.5
 NEAR_M, NEAR_SHARE = 1.4, 0.6
 """This share of the points lies within so far of the path; the rest anywhere."""
 
-SHAPE_SHARES = {"contour": 0.22, "room": 0.38, "corridor": 0.2, "hall": 0.1, "clutter": 0.1}
-"""How often each kind of world comes."""
-
 MOST_SONARS, LARGE_SHARE = (24, 48), 0.1
 """Most sonars of a random robot; and of this share of them."""
 
 PEOPLE_SHARE, IN_TURN_SHARE = 0.15, 0.15
 """Share of the drives past which people walk, and of those whose sonars fire in turn, group after group."""
-
-_WALLS = _TARGETS = 40
-_MOST_TRIES = 500
-_CHUNK = 16
 
 
 class Lessons(NamedTuple):
@@ -72,16 +57,6 @@ class Lessons(NamedTuple):
     """m, world frame."""
     label: Integer[ndarray | Array, "drives points"]
     """1 = surface, 0 = free, 2 = hidden."""
-
-
-@dataclass(frozen=True)
-class _Drive:
-    world: World
-    robot: Robot
-    poses: Float[ndarray, "frames 3"]
-    believed: Float[ndarray, "frames 3"]
-    points: Float[ndarray, "points 2"]
-    label: Int8[ndarray, "points"]
 
 
 def random_way(rng: np.random.Generator, world: World, clearance: float) -> Float[ndarray, "frames 3"] | None:
@@ -134,9 +109,7 @@ def random_way(rng: np.random.Generator, world: World, clearance: float) -> Floa
     return np.column_stack([xy, wrap(heading + turn + spin)])
 
 
-def _points_of(
-    rng: np.random.Generator, truth: Truth, poses: Float[ndarray, "frames 3"]
-) -> tuple[Float[ndarray, "n 2"], Int8[ndarray, "n"]] | None:
+def _points_of(rng: np.random.Generator, truth: Truth, poses: Float[ndarray, "frames 3"]) -> Points | None:
     """Cell centres of a truth grid: fixed numbers of surface, near free, far free and hidden ones."""
     gap = distance_transform_edt(truth.cells != SURFACE) * truth.resolution
     free = truth.cells == FREE
@@ -147,100 +120,30 @@ def _points_of(
     col, row = np.floor((poses[:, :2] - truth.origin) / truth.resolution).astype(int).T
     path[row, col] = False
     near = distance_transform_edt(path) * truth.resolution < NEAR_M
-    picked = []
+    split = []
     for cells, count in zip(kinds, POINTS, strict=True):
-        index, close = np.argwhere(cells), np.argwhere(cells & near)
-        if len(close) < 4:
-            return None
         first = round(NEAR_SHARE * count)
-        picked += [close[rng.integers(0, len(close), first)], index[rng.integers(0, len(index), count - first)]]
-    rows, cols = np.concatenate(picked).T
-    centre = (np.column_stack([cols, rows]) + 0.5) * truth.resolution + truth.origin
-    return centre, truth.cells[rows, cols]
+        split += [(cells & near, first), (cells, count - first)]
+    return picked(rng, truth, split)
 
 
-def _drive(rng: np.random.Generator, robot: Robot) -> _Drive:
-    for _ in range(_MOST_TRIES):
-        shape = str(rng.choice(list(SHAPE_SHARES), p=list(SHAPE_SHARES.values())))
-        world = random_world(rng, shape)
-        if len(world.walls) > _WALLS or len(world.vertices[1]) + len(world.cylinders) > _TARGETS:
-            continue
-        poses = random_way(rng, world, robot.footprint_radius_m + 0.05)
-        if poses is None:
-            continue
-        points = _points_of(rng, truth_of(world, poses, TRUTH_M, REACH_M), poses)
-        if points is None:
-            continue
-        off = rng.choice([0.0, 0.01, 0.02]) * rng.standard_normal((FRAMES, 3)) * [1, 1, 0.5]
-        return _Drive(world, robot, poses, poses + off, *points)
-    raise UsageError(
-        f"robot {robot.name}: found no room to drive in among {_MOST_TRIES}, expected a footprint_radius_m of "
-        f"less than about 1 m (it is {robot.footprint_radius_m:g})"
-    )
+KIND = Kind(
+    FRAMES,
+    {"contour": 0.22, "room": 0.38, "corridor": 0.2, "hall": 0.1, "clutter": 0.1},
+    random_way,
+    _points_of,
+    TRUTH_M,
+    REACH_M,
+)
+"""The drives."""
 
 
-def lessons(robot: Robot | None, drives: int, seed: int, progress: bool = False) -> Lessons:
-    """Lessons from simulated drives.
-
-    Args:
-        robot: the array to drive with; None: a new random one (or preset) for each drive.
-        drives: number of drives, each in a world and under a physics of its own.
-        seed: decides everything.
-        progress: show a bar where there is a terminal.
-    """
-    rng = np.random.default_rng(seed)
-    parts: list[Lessons] = []
-    bar = tqdm(total=drives, desc="drives", unit="drive", disable=None if progress else True)
-    waiting: list[Callable[[], list[Lessons]]] = []
-    for _ in range(0, drives, _CHUNK):
-        # The simulator works on one chunk while the next is laid out.
-        waiting.append(_begin(rng.spawn(1)[0], robot))
-        if len(waiting) > 1:
-            parts += waiting.pop(0)()
-            bar.update(_CHUNK)
-    parts += waiting.pop()()
-    bar.update(_CHUNK)
-    bar.close()
-    return stack(parts[:drives])
-
-
-def _begin(rng: np.random.Generator, robot: Robot | None) -> Callable[[], list[Lessons]]:
-    """Lay out a chunk of drives and set the simulator on them; the result waits for it and makes lessons."""
-    # One size for all of a chunk, and few sizes in all: each is compiled for.
-    most = MOST_SONARS[int(rng.random() < LARGE_SHARE)]
-    batch = [_drive(rng, robot or random_robot(rng, most)) for _ in range(_CHUNK)]
-    physics = [random_physics(rng) for _ in batch]
-    heads = [d.robot.transducer if robot and rng.random() < 0.5 else random_transducer(rng) for d in batch]
-    scenes = stack([Scene.of(d.world, _WALLS, _TARGETS) for d in batch])
-    air = stack([acoustics(head, p) for head, p in zip(heads, physics, strict=True)])
-    most = robot.sonars if robot else most
-    placed = np.zeros((_CHUNK, FRAMES, most, 3), dtype=np.float32)
-    for i, d in enumerate(batch):
-        placed[i, :, : d.robot.sonars] = sonar_poses(bent(rng, d.robot.mounts), d.poses)
-    noise = np.array([p.level_noise_db for p in physics])[:, None, None]
-    level = (noise * rng.standard_normal(placed.shape[:3])).astype(np.float32)
-    heard = drives_ranges(scenes, air, placed[..., :2], placed[..., 2], level)
-
-    def finish() -> list[Lessons]:
-        return [
-            _lesson(rng, d, p, placed[i, :, : d.robot.sonars], ranges[:, : d.robot.sonars])
-            for i, (d, p, ranges) in enumerate(zip(batch, physics, np.asarray(heard, dtype=float), strict=True))
-        ]
-
-    return finish
-
-
-def _lesson(
-    rng: np.random.Generator,
-    d: _Drive,
-    physics: Physics,
-    placed: Float[ndarray, "frames sonars 3"],
-    ranges: Float[ndarray, "frames sonars"],
-) -> Lessons:
+def _lesson(rng: np.random.Generator, driven: Driven) -> Lessons:
     """A drive with all that disturbs its readings, padded."""
+    d, ranges = driven.drive, driven.ranges
     if rng.random() < PEOPLE_SHARE:
-        ranges = passers_by(ranges, placed, rng)
-    told = d.robot.clean(disturb(ranges, physics, d.robot.max_range_m, rng))
+        ranges = passers_by(ranges, driven.sonars, rng)
+    told = d.robot.clean(disturb(ranges, driven.physics, d.robot.max_range_m, rng))
     if rng.random() < IN_TURN_SHARE:
         groups = rng.choice([2, 3, 4, 8])
         silent = (np.arange(FRAMES)[:, None] - np.arange(d.robot.sonars)) % groups != 0
@@ -263,3 +166,12 @@ def _lesson(
         d.points.astype(np.float32),
         d.label,
     )
+
+
+def lessons(robot: Robot | None, drives: int, seed: int, progress: bool = False) -> Lessons:
+    """Lessons from simulated drives; arguments as for ``simulated``."""
+
+    def most_sonars(rng: np.random.Generator) -> int:
+        return MOST_SONARS[int(rng.random() < LARGE_SHARE)]
+
+    return simulated(robot, KIND, most_sonars, _lesson, drives, seed, progress)

@@ -16,10 +16,9 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy import ndarray
 
 from echogrid.metrics import FREE, SURFACE
-from echogrid.models.network import LOOK_RAD
-from echogrid.models.set_network import (
+from echogrid.models.model import LOOK_RAD
+from echogrid.models.set_layers import (
     HIDDEN_UNITS,
-    SetNetwork,
     Tokens,
     Weights,
     along,
@@ -29,9 +28,10 @@ from echogrid.models.set_network import (
     initial,
     nearest,
 )
+from echogrid.models.set_network import SetNetwork
 from echogrid.robot import Robot
+from echogrid.training.descent import Recipe, descend
 from echogrid.training.lessons import POINTS, REACH_M, Lessons, lessons
-from echogrid.training.train import AnyRecipe, descend
 
 VIEWS = 20
 """Frames from which a point is looked at in a step; of all that reach it, drawn anew in each step."""
@@ -47,7 +47,7 @@ _BEARINGS = 128
 
 
 @dataclass(frozen=True)
-class SetRecipe(AnyRecipe[Lessons]):
+class SetRecipe(Recipe[Lessons]):
     """All that decides the weights of the set network, with the robot."""
 
     hidden: int = HIDDEN_UNITS

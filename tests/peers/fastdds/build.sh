@@ -1,5 +1,5 @@
 #!/bin/sh
-# Builds the robot of tests/test_live.py into build/peers/fastdds; needs fastddsgen, g++ and libfastrtps-dev (Debian).
+# Builds the robot of tests/live and tests/cli into build/peers/fastdds; needs fastddsgen, g++ and libfastrtps-dev (Debian).
 set -eu
 
 here=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd)

@@ -10,6 +10,7 @@ from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -54,11 +55,17 @@ class Namespace:
     """A network with nothing but loopback."""
 
     def __init__(self, pid: int):
+        self.started: list[subprocess.Popen[str]] = []
         self._prefix = ["nsenter", f"--target={pid}", "--user", "--net", "--preserve-credentials"]
 
     def command(self, *words: object) -> list[str]:
         """A command that runs in it."""
         return [*self._prefix, *map(str, words)]
+
+    def start(self, *words: object, **options: Any) -> subprocess.Popen[str]:
+        """Start a command in it; options as of ``subprocess.Popen``."""
+        self.started.append(subprocess.Popen(self.command(*words), text=True, **options))
+        return self.started[-1]
 
     def output(self, *words: object) -> str:
         """What a command says in it."""
@@ -70,13 +77,16 @@ def namespace() -> Generator[Namespace]:
     """Make a network namespace, and undo it with all that runs in it."""
     script = "ip link set lo up multicast on && echo ready && exec sleep 7200"
     holder = subprocess.Popen(["unshare", "-rn", "sh", "-c", script], stdout=subprocess.PIPE, text=True)
+    made = Namespace(holder.pid)
     try:
         assert holder.stdout is not None
         assert holder.stdout.readline() == "ready\n"
-        yield Namespace(holder.pid)
+        yield made
     finally:
-        holder.kill()
-        holder.communicate()
+        for process in (*made.started, holder):
+            if process.poll() is None:
+                process.kill()
+                process.communicate()
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""Bags of ROS as files: opened, surveyed, and read into frames."""

@@ -1,0 +1,151 @@
+"""Bags of ROS 1 and ROS 2 as files: recognising and opening them, their topics and messages, finding damage."""
+
+import os
+from collections.abc import Collection, Generator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rosbags.rosbag2 import Reader
+
+from echogrid.bags.definitions import Types
+from echogrid.bags.streamed import StreamedBag
+from echogrid.errors import EchogridError, InputError
+from echogrid.files import printable
+
+MAGIC = {b"#ROSBAG V": ".bag", b"\x89MCAP0\r\n": ".mcap", b"SQLite format 3\0": ".db3"}
+"""How the files begin, and how their names must end."""
+
+_METADATA = "metadata.yaml"
+"""What the folder of a ROS 2 bag holds beside the files with the messages."""
+
+_MENDS = {
+    ".bag": "; rosbag reindex may mend it",
+    ".mcap": "; mcap recover may mend it",
+    ".db3": "; .recover of sqlite3 may mend it",
+}
+"""What helps a bag that is cut off, by the end of its name."""
+
+_FOREIGN = ("jsonschema", "protobuf", "ros1msg", "flatbuffer")
+"""Encodings of an MCAP that the library does not know."""
+
+
+def recognises(path: Path) -> bool:
+    """Whether there is a bag: a file that begins or ends like one, or a folder with the metadata or files of one."""
+    if os.path.isdir(path):
+        return os.path.isfile(path / _METADATA) or bool(_files(path))
+    return _ending(path) is not None or (path.suffix in MAGIC.values() and os.path.isfile(path))
+
+
+def _files(folder: Path) -> list[Path]:
+    """The bags in a folder."""
+    try:
+        return sorted(each for each in folder.iterdir() if each.suffix in MAGIC.values())
+    except OSError:
+        return []
+
+
+def _ending(path: Path) -> str | None:
+    try:
+        with path.open("rb") as file:
+            head = file.read(16)
+    except (OSError, ValueError):  # a name that cannot be is told by whoever takes it for a text
+        return None
+    return next((ending for magic, ending in MAGIC.items() if head.startswith(magic)), None)
+
+
+class Topic(NamedTuple):
+    """A topic in a bag."""
+
+    name: str
+    type: str
+    """As ROS 2 writes it: ``sensor_msgs/msg/Range``."""
+    messages: int
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.type if self.messages else 'without messages'})"
+
+
+class Message(NamedTuple):
+    """A message in a bag."""
+
+    topic: str
+    type: str
+    received: float
+    """When it was recorded, s."""
+    content: Any
+    """The message, its fields by their names; a RangeSaid for a Range."""
+
+
+class BagFile:
+    """An open bag; to be used in a ``with`` block.
+
+    Raises:
+        InputError: it is not a bag, or a damaged one; so do its methods.
+    """
+
+    def __init__(self, path: Path):
+        """Open a .bag, .mcap or .db3 file, or the folder of a ROS 2 bag."""
+        self.name = printable(path)
+        ending = None if path.is_dir() else _ending(path)
+        if ending and path.suffix != ending:
+            found = f"a bag that begins like {ending} and ends in {path.suffix or 'nothing'}"
+            raise InputError(self.name, found, f"{ending} at the end of its name")
+        files = _files(path) if path.is_dir() else [path]
+        if path.is_dir() and not (path / _METADATA).is_file():
+            names = ", ".join(printable(each) for each in files[:6])
+            raise InputError(self.name, f"a folder without {_METADATA}", f"one, or a file alone: {names}")
+        if path.is_file() and ending is None:
+            found = "a file that does not begin like a bag" if path.stat().st_size else "an empty file"
+            raise InputError(self.name, found, f"a {path.suffix} file as it was recorded")
+        ros1 = ending == ".bag"
+        self._mend = next((_MENDS[each.suffix] for each in files if each.suffix in _MENDS), "")
+        with self._damage():
+            self._reader = StreamedBag(path) if ros1 else Reader(path)
+            self._reader.open()
+            self._connections = list(self._reader.connections)
+        self._types = Types(self.name, ros1)
+
+    def __enter__(self) -> "BagFile":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._reader.close()
+
+    @contextmanager
+    def _damage(self) -> Generator[None]:
+        # The libraries below let out errors of many kinds for files that are cut off or overwritten.
+        try:
+            yield
+        except (EchogridError, PermissionError):
+            raise
+        except Exception as error:
+            if isinstance(error, KeyError) and error.args[0] in _FOREIGN:
+                found = f"channels of {error.args[0]} in an MCAP"
+                raise InputError(self.name, found, "messages of ROS 2 alone (mcap filter)") from None
+            said = " ".join(str(error).replace(f" {self.name}", "").split())[:120] or type(error).__name__
+            if isinstance(error, MemoryError):  # a length that cannot be true
+                said = "a record too long for the memory"
+            raise InputError(
+                self.name, f"a bag that is cut off or damaged ({said})", f"a whole one{self._mend}"
+            ) from None
+
+    def topics(self) -> list[Topic]:
+        """All topics, by their names."""
+        counts: dict[tuple[str, str], int] = {}
+        for each in self._connections:
+            key = each.topic, each.msgtype
+            counts[key] = counts.get(key, 0) + each.msgcount
+        return [Topic(name, kind, count) for (name, kind), count in sorted(counts.items())]
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """The messages of some topics, in the order in which they were recorded."""
+        wanted = [each for each in self._connections if each.topic in topics and each.msgcount]
+        if not wanted:
+            return
+        with self._damage():
+            decoders = {(each.id, each.topic): self._types.decoder(each) for each in wanted}
+            for connection, time, data in self._reader.messages(wanted):
+                kind = connection.msgtype
+                content = decoders[connection.id, connection.topic](data, kind)
+                yield Message(connection.topic, kind, time * 1e-9, content)

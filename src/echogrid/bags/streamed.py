@@ -1,0 +1,90 @@
+"""Bags of ROS 1, read in the order of time and in bounded memory."""
+
+from collections import Counter
+from collections.abc import Collection, Iterator
+from operator import itemgetter
+from struct import Struct
+
+from rosbags.interfaces import Connection
+from rosbags.rosbag1 import Reader, ReaderError
+
+_SIZE = Struct("<L").unpack_from
+_TIME = Struct("<LL").unpack_from
+
+_MESSAGE = 2
+"""Operation code of a record with a message."""
+
+MAX_CHUNK = 512 * 2**20
+"""A longer chunk (bytes) is a broken one."""
+
+
+class StreamedBag(Reader):
+    """A bag of ROS 1 whose messages are read in the order of their time, in memory of a few chunks.
+
+    The index of rosbags, which holds every message, would fill the memory.
+    """
+
+    def open(self) -> None:
+        """Open the bag; what its connections hold is counted from the heads of its chunks.
+
+        Raises:
+            ReaderError: it is damaged.
+        """
+        super().open()
+        counts = Counter[int]()
+        for chunk in self.chunk_infos:
+            counts.update(chunk.connection_counts)
+        self.connections = [each._replace(msgcount=counts[each.id]) for each in self.connections]
+
+    def read_index_data(self, pos: int, indexes: dict) -> None:
+        """Pass over the index of a chunk."""
+
+    def messages(  # ty: ignore[incompatible-method-override]
+        self, connections: Collection[Connection] = ()
+    ) -> Iterator[tuple[Connection, int, bytes]]:
+        """Messages of some connections: connection, time of receipt (ns), data.
+
+        Raises:
+            ReaderError: the bag is damaged.
+        """
+        wanted = {each.id: each for each in connections or self.connections}
+        chunks = sorted(
+            (chunk for chunk in self.chunk_infos if not wanted.keys().isdisjoint(chunk.connection_counts)),
+            key=lambda chunk: chunk.start_time,
+        )
+        held: list[tuple[int, int, bytes]] = []
+        for chunk in chunks:
+            # What is older than all that is still to be read can go.
+            ready = [each for each in held if each[0] < chunk.start_time]
+            held = [each for each in held if each[0] >= chunk.start_time]
+            for time, number, data in ready:
+                yield wanted[number], time, data
+            held.extend(self._of_chunk(chunk.pos, wanted))
+            held.sort(key=itemgetter(0))
+        for time, number, data in held:
+            yield wanted[number], time, data
+
+    def _of_chunk(self, position: int, wanted: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
+        chunk, file = self.chunks[position], self.bio
+        if file is None or chunk.datasize > MAX_CHUNK:
+            raise ReaderError("a chunk that is too long")
+        file.seek(chunk.datapos)
+        data = chunk.decompressor(file.read(chunk.datasize))
+        place, end = 0, len(data)
+        while place < end:
+            head = place + 4
+            body = head + _SIZE(data, place)[0]
+            place = body + 4 + _SIZE(data, body)[0]
+            if place > end:
+                raise ReaderError("a record that ends outside of its chunk")
+            values: dict[bytes, int] = {}
+            while head < body:
+                sign = data.index(b"=", head + 4)
+                values[data[head + 4 : sign]] = sign + 1
+                head += 4 + _SIZE(data, head)[0]
+            if data[values[b"op"]] != _MESSAGE:
+                continue
+            (number,) = _SIZE(data, values[b"conn"])
+            if number in wanted:
+                sec, nsec = _TIME(data, values[b"time"])
+                yield sec * 10**9 + nsec, number, data[body + 4 : place]

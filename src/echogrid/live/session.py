@@ -1,0 +1,175 @@
+"""A map made while the robot drives: messages of ROS in, maps to publish out; no network and no clock of its own."""
+
+from collections import Counter, deque
+from collections.abc import Iterable
+from math import inf
+from typing import Any
+
+from echogrid.live.hearing import SETTLE_S, Heard, Hearing
+from echogrid.live.live_map import LiveMap, Picture, Settings, Snapshot
+from echogrid.live.sonar_array import Mounts, SonarArray, frames_of, lack, listed, mounts_of
+from echogrid.models.set_network import SetNetwork
+from echogrid.ros.array import fixed_of
+
+REBUILD_S = 10.0
+"""Time between two changes of the array, s."""
+
+LAG_S = 0.25
+"""A pose is waited for until readings are so far ahead of the transforms; then the robot is taken to go on."""
+
+REACH_S = 0.5
+"""How far past the newest transform a pose is taken from it at most."""
+
+CHECK_S = 1.0
+"""How often it is looked whether sonars are silent or new."""
+
+GONE_S = 2.0
+"""When no sonar at all has been heard for so long, all are silent."""
+
+
+class Live:
+    """The map of a robot that drives now."""
+
+    def __init__(self, network: SetNetwork, settings: Settings):
+        """Nothing heard yet.
+
+        Args:
+            network: the sensor model.
+            settings: what the user chose.
+        """
+        self.settings = settings
+        self._network = network
+        self._refused: Counter[str] = Counter()
+        self._notices: deque[str] = deque(maxlen=100)
+        self._said: set[str] = set()
+        self._hearing = Hearing(self._refused)
+        self._map: LiveMap | None = None
+        self._check_due = self._rebuilt = -inf
+        self._rebuild_due = inf
+
+    @property
+    def scans(self) -> int:
+        """How many scans are in the map."""
+        return self._map.scans if self._map else 0
+
+    @property
+    def readings(self) -> int:
+        """How many readings were taken."""
+        return self._hearing.readings
+
+    @property
+    def refused(self) -> Counter[str]:
+        """How many messages, readings and scans were not taken, by reason."""
+        return self._refused + (self._map.array.scans.dropped if self._map else Counter())
+
+    @property
+    def busy(self) -> bool:
+        """Whether scans wait to be mapped."""
+        return self._map is not None and self._map.busy
+
+    def take(self, heard: Heard, topic: str, message: Any, now: float) -> None:
+        """Take a message: as ``Hearing.take``."""
+        self._hearing.take(heard, topic, message, now)
+
+    def notices(self) -> list[str]:
+        """What the user should know and was not told yet."""
+        told = list(self._notices)
+        self._notices.clear()
+        return told
+
+    def _say_once(self, texts: Iterable[str]) -> None:
+        for text in texts:
+            if text not in self._said and len(self._said) < 1000:
+                self._said.add(text)
+                self._notices.append(text)
+
+    def step(self, now: float) -> list[Picture]:
+        """Map what has come, and say what is to be published.
+
+        Args:
+            now: as for ``take``, s.
+        """
+        hearing = self._hearing
+        if now >= self._check_due:
+            self._check_due = now + CHECK_S
+            if self._map is not None:
+                self._watch(self._map.array, now)
+                self._admit(self._map, now)
+            elif hearing.settled:
+                self._settle()
+            hearing.tidy()
+        if self._map is None:
+            return []
+        known = hearing.transforms.known(self._map.array.fixed, self._map.array.base)
+        behind = known is not None and hearing.newest - known[1] > LAG_S
+        return self._map.step(now, REACH_S if behind else 0.0)
+
+    def finish(self) -> None:
+        """Map what was gathered and is not yet a whole scan: nothing comes any more."""
+        if self._map is None:
+            self._settle()
+        if self._map is not None:
+            self._map.catch_up(REACH_S, final=True)
+
+    def snapshot(self) -> Snapshot | None:
+        """The map to be saved; None if there is none yet."""
+        return None if self._map is None else self._map.snapshot(self.refused)
+
+    def status(self) -> str:
+        """How it goes, in one line."""
+        if self._map is None:
+            parts = [lack(self._hearing.transforms, self._hearing.sonars, self.settings.choice)]
+        else:
+            array = self._map.array
+            parts = [f"{self.scans} scans of {len(array.numbers)} sonars in {array.fixed}"]
+            if array.silent:
+                parts.append(f"silent: {listed(array.silent)}")
+        if refused := self.refused.most_common(3):
+            parts.append("not taken: " + ", ".join(f"{n} x {reason}" for reason, n in refused))
+        return "; ".join(parts)
+
+    def _settle(self) -> None:
+        """Begin to map, if it is known what with."""
+        hearing = self._hearing
+        frames = frames_of(hearing.transforms, hearing.sonars, self.settings.choice)
+        mounts = self._mounts(hearing.sonars, frames[1]) if frames else {}
+        if not frames or not mounts:
+            return
+        array = SonarArray(*frames, mounts, hearing.sonars, hearing.transforms)
+        self._map = LiveMap(array, self._network, self.settings, self._refused, hearing.newest)
+        fixed, base = frames
+        self._notices.append(f"mapping in {fixed} with {len(mounts)} sonars of {base}: {listed(mounts)}")
+        hearing.begin(array)
+
+    def _mounts(self, sonars: Iterable[str], base: str) -> Mounts:
+        """Where sonars sit; of those whose place is of no use it is said."""
+        mounts, left_out = mounts_of(self._hearing.transforms, sonars, base, self._hearing.newest)
+        self._say_once(left_out)
+        return mounts
+
+    def _watch(self, array: SonarArray, now: float) -> None:
+        """Tell of sonars that went silent, of those that came back, and of a better frame to map in."""
+        transforms = self._hearing.transforms
+        array.look_up(transforms)
+        fixed = fixed_of(transforms, array.base)
+        if fixed not in (None, array.fixed) and self.settings.choice.fixed is None:
+            self._say_once([f"there is {fixed} now; to map in it rather than in {array.fixed}, start again"])
+        self._notices += array.watch(gone=now - self._hearing.last_range > GONE_S)
+
+    def _admit(self, live_map: LiveMap, now: float) -> None:
+        """Take sonars into the array that were first heard, or whose place became known, while mapping."""
+        array, hearing = live_map.array, self._hearing
+        new = self._mounts([name for name in hearing.sonars if name not in array.numbers], array.base)
+        if not new:
+            self._rebuild_due = inf
+            return
+        if self._rebuild_due == inf:  # others may come with it
+            self._rebuild_due = max(now + SETTLE_S, self._rebuilt + REBUILD_S)
+        if now < self._rebuild_due:
+            return
+        self._rebuild_due, self._rebuilt = inf, now
+        live_map.catch_up(REACH_S)  # they are scans of the array as it was
+        self._refused.update(array.scans.dropped)
+        array.grow(new, hearing.sonars, hearing.transforms)
+        live_map.equip(hearing.newest)
+        self._notices.append(f"new: {listed(new)}")
