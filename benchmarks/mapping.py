@@ -17,8 +17,8 @@ from echogrid import Log, Robot, World, build_map, load_log
 from echogrid.frame import Frame
 from echogrid.logs.csv_log import write_csv
 from echogrid.mapping.mapper import Mapper
-from echogrid.models.set_network import SetNetwork
-from echogrid.models.table import sensor_model
+from echogrid.mapping.registry import sensor_model
+from echogrid.models.networks.set_network import SetNetwork
 from echogrid.simulation.drive import tour
 from echogrid.simulation.simulate import Simulator
 

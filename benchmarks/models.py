@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.mapping import long_log
 from benchmarks.mrpt import available, mrpt_map
 from echogrid import Log, Robot, build_map
-from echogrid.models.table import MODELS, sensor_model
+from echogrid.mapping.registry import MODELS, sensor_model
 from experiments.common.report import record
 
 SCANS, RUNS, RESOLUTION = 2000, 3, 0.12

@@ -8,8 +8,8 @@ from numpy import inf
 
 from echogrid.grid import Grid
 from echogrid.live.hearing import Heard
-from echogrid.models.set_network import SetNetwork
-from echogrid.models.table import sensor_model
+from echogrid.mapping.registry import sensor_model
+from echogrid.models.networks.set_network import SetNetwork
 
 NETWORK = cast(SetNetwork, sensor_model("set-network"))
 START_S = 1000.0

@@ -6,8 +6,8 @@ import numpy as np
 
 from benchmarks.mrpt import available, mrpt_map
 from echogrid import Frame, Grid, Robot, build_map
+from echogrid.mapping.registry import DEFAULT, MODELS, sensor_model
 from echogrid.metrics import PathScore, Scores, Truth, path_score, score
-from echogrid.models.table import DEFAULT, MODELS, sensor_model
 
 PEERS = {"mrpt": False, "mrpt-centred": True}
 EVERY = [*(name for name in MODELS if name != DEFAULT), *(PEERS if available() else ())]

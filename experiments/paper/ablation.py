@@ -26,14 +26,14 @@ from tqdm import tqdm
 
 from echogrid import Robot, build_map
 from echogrid.grid import Grid
+from echogrid.mapping.registry import sensor_model
 from echogrid.metrics import Scores, score
-from echogrid.models import local_map
-from echogrid.models.local_map import LocalMap, resample
-from echogrid.models.network import Network
-from echogrid.models.table import sensor_model
+from echogrid.models.networks import local_map
+from echogrid.models.networks.local_map import LocalMap, resample
+from echogrid.models.networks.paper_network import Network
 from echogrid.simulation.drive import truth_of
 from echogrid.training import paper_training
-from echogrid.training.examples import Examples, generate
+from echogrid.training.paper_examples import Examples, generate
 from echogrid.training.paper_training import PaperRecipe, fit
 from experiments.common.bootstrap import interval
 from experiments.common.report import draw_key, record, save, table

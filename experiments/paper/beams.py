@@ -16,7 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from echogrid.geometry import wrap
-from echogrid.simulation.acoustics import BEAMS, Physics, absorption, speed_of_sound
+from echogrid.simulation.acoustics import Physics, absorption, speed_of_sound
+from echogrid.simulation.beam_patterns import BEAMS
 from echogrid.simulation.simulate import rotary_scan
 from experiments.common.report import record, rounded, save
 from experiments.paper.rotary import BEARING, HEAD, MAX_RANGE, NULLS, PLAN, POSITIONS, Judged, where

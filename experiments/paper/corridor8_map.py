@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from echogrid import Log, Robot
-from echogrid.models.local_map import LOCAL_CELL_M
+from echogrid.models.networks.local_map import LOCAL_CELL_M
 from experiments.common.corridor8 import FOLDER, ROBOT, frames, mark, measure
 from experiments.common.maps import EVERY, mapped
 from experiments.common.report import Panel, page, record

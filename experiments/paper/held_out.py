@@ -16,7 +16,7 @@ import argparse
 import numpy as np
 
 from echogrid import Robot
-from echogrid.models.table import MODELS
+from echogrid.mapping.registry import MODELS
 from experiments.common.bootstrap import interval
 from experiments.common.maps import EVERY, PEERS, SHOWN
 from experiments.common.pool import each

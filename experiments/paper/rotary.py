@@ -10,7 +10,8 @@ import numpy as np
 
 from echogrid.geometry import wrap
 from echogrid.robot import TRANSDUCERS, Robot
-from echogrid.simulation.acoustics import Physics, bessel_beam, speed_of_sound
+from echogrid.simulation.acoustics import Physics, speed_of_sound
+from echogrid.simulation.beam_patterns import bessel_beam
 from echogrid.simulation.regions import regions_of_constant_depth
 from echogrid.simulation.simulate import RAYS, Simulator, disturb, rotary_scan
 from echogrid.simulation.world import World

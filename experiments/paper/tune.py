@@ -6,7 +6,8 @@ For each model settings are drawn at random from the ranges below, PER_PARAMETER
 one drive of each kind of place, and the best FINALISTS again on all drives; the one with the lowest mean `nll`
 wins. Half of the drives are a B21's and half a P3-DX's, half have echogrid's default physics and half a physics of
 their own, and half are cut to their first third, as of a robot that passes but once. All that a source fixes stays
-fixed. The winners are written to docs/paper/tune.json; they are the defaults in classical.py, calculi.py and em.py.
+fixed. The winners are written to docs/paper/tune.json; they are the defaults of the classes in
+echogrid.models.classical.
 """
 
 import argparse
@@ -18,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from echogrid import Robot, build_map
+from echogrid.mapping.registry import MODELS
 from echogrid.metrics import score
-from echogrid.models.table import MODELS
 from echogrid.simulation.drive import truth_of
 from experiments.common.report import record, recorded
 from experiments.common.rooms import PLACES, frames, rooms

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.errors import InputError, UsageError
-from echogrid.keys import Keys, parse_yaml, shown
+from echogrid.yaml_keys import Keys, parse_yaml, shown
 
 MAX_SONARS = 512
 

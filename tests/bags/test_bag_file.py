@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bag_samples import DRIVE, FRAMES, assert_same_frames, refused, rosbag_of, with_rosbag
 from bag_writers import B21, FORMATS, START_S, Said, drive, file_of, in_order, odometry, ranging, time_of, write
-from echogrid.bags import bag
+from echogrid.bags import reader as bag
 from echogrid.bags.bag_file import BagFile
 from echogrid.errors import InputError
 from echogrid.frame import Frame

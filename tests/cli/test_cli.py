@@ -15,7 +15,7 @@ from commands import GOOD, MAP, SAMPLE, SIMULATE, SOURCE, arrays, everything, pu
 from echogrid import __version__
 from echogrid.cli import COMMANDS
 from echogrid.frame import Frame
-from echogrid.models.table import MODELS
+from echogrid.mapping.registry import MODELS
 from echogrid.simulation.world import world_names
 
 

@@ -12,12 +12,12 @@ import pytest
 
 from echogrid import Robot, World
 from echogrid.frame import Frame
-from echogrid.keys import parse_yaml
 from echogrid.mapping.build import build_map
-from echogrid.output.map_server import occupancy
-from echogrid.output.mapfile import read_map
+from echogrid.output.map_file import read_map
+from echogrid.output.map_server_file import occupancy
 from echogrid.robot import parse_robot
 from echogrid.simulation.simulate import Simulator
+from echogrid.yaml_keys import parse_yaml
 from peers.fastdds import peer
 
 pytest.importorskip("echogrid.live.dds", reason="found no cyclonedds")

@@ -11,11 +11,11 @@ from commands import LOG, MAP_FILES, ROBOT, SAMPLE, TRUTH, arrays, call, put, sc
 from echogrid import __version__
 from echogrid.frame import Frame
 from echogrid.logs.formats import load_log
-from echogrid.models.classical import Cone
-from echogrid.models.em import ForwardModel
-from echogrid.models.set_network import SetNetwork
-from echogrid.models.table import sensor_model
-from echogrid.output.mapfile import read_truth
+from echogrid.mapping.registry import sensor_model
+from echogrid.models.classical.forward_model import ForwardModel
+from echogrid.models.classical.log_odds import Cone
+from echogrid.models.networks.set_network import SetNetwork
+from echogrid.output.map_file import read_truth
 from echogrid.robot import Robot
 
 

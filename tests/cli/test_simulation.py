@@ -8,7 +8,7 @@ import yaml
 
 from commands import LOG, ROBOT, WORLD, Run, everything, put, scores, share, told
 from echogrid.logs.formats import load_log
-from echogrid.output.mapfile import read_truth
+from echogrid.output.map_file import read_truth
 from echogrid.robot import Robot, robot_yaml
 
 

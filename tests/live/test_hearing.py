@@ -11,7 +11,7 @@ from echogrid.live.hearing import FAR_STAMP, LEAPS, Heard
 from echogrid.live.live_map import Settings
 from echogrid.live.session import Live
 from echogrid.robot import MAX_SONARS
-from echogrid.ros.scans import LATE, REPEATED
+from echogrid.ros.gathering import LATE, REPEATED
 from live_drive import NETWORK, START_S, Drive, Recorder, odometry, range_of, tf, transform, turned, xyz
 
 

@@ -3,8 +3,8 @@ import numpy as np
 from echogrid.live.hearing import Heard
 from echogrid.live.live_map import Settings
 from echogrid.live.session import Live
+from echogrid.ros.gathering import REPEATED
 from echogrid.ros.messages import Choice
-from echogrid.ros.scans import REPEATED
 from live_drive import NETWORK, START_S, Drive, range_of, tf, transform
 
 

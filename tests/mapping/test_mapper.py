@@ -9,10 +9,10 @@ from echogrid import Frame, Robot, build_map
 from echogrid.errors import UsageError
 from echogrid.geometry import compose
 from echogrid.mapping.mapper import Mapper
-from echogrid.models import set_network
-from echogrid.models.polar_map import array_of, asked, moved
-from echogrid.models.set_network import FORGOTTEN, SUMS, SetNetwork
-from echogrid.models.table import sensor_model
+from echogrid.mapping.registry import sensor_model
+from echogrid.models.networks import set_network
+from echogrid.models.networks.polar_map import array_of, asked, moved
+from echogrid.models.networks.set_network import FORGOTTEN, SUMS, SetNetwork
 from echogrid.simulation.simulate import Simulator
 from echogrid.simulation.world import parse_world
 

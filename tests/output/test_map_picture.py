@@ -6,7 +6,7 @@ from PIL import Image
 from scipy.ndimage import maximum_filter
 
 from echogrid.grid import Grid
-from echogrid.output.mapfile import write_map
+from echogrid.output.map_file import write_map
 from map_samples import NO_PATH, a_grid, one_wall
 
 

@@ -22,8 +22,8 @@ from echogrid.geometry import compose, inverse, wrap
 from echogrid.grid import Grid
 from echogrid.logs.csv_log import write_csv
 from echogrid.logs.formats import load_log
-from echogrid.output.map_server import occupancy
-from echogrid.output.mapfile import read_map
+from echogrid.output.map_file import read_map
+from echogrid.output.map_server_file import occupancy
 from echogrid.output.mcap_file import Recorder, _ros_time, _stored
 from echogrid.robot import Robot
 

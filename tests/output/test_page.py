@@ -14,7 +14,7 @@ from echogrid.errors import UsageError
 from echogrid.frame import Frame
 from echogrid.grid import P_MIN, Grid
 from echogrid.output import page
-from echogrid.output.mapfile import read_map
+from echogrid.output.map_file import read_map
 from echogrid.output.page import Page, write_page
 from echogrid.output.recording import Recording
 from echogrid.robot import Robot

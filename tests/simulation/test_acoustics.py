@@ -7,17 +7,14 @@ from scipy import special
 from echogrid.robot import TRANSDUCERS, Transducer
 from echogrid.simulation.acoustics import (
     BEAM_ENTRIES,
-    BEAMS,
     CHORD_STEP,
     FLOOR_DB,
     Physics,
     absorption,
     acoustics,
-    bessel_beam,
-    gaussian_beam,
-    impulse_beam,
     speed_of_sound,
 )
+from echogrid.simulation.beam_patterns import BEAMS, bessel_beam, gaussian_beam, impulse_beam
 
 HEAD_600, HEAD_7000 = TRANSDUCERS["polaroid-600"], TRANSDUCERS["polaroid-7000"]
 C = 343.2

@@ -7,7 +7,8 @@ import pytest
 
 from echogrid.geometry import wrap
 from echogrid.robot import TRANSDUCERS, Robot
-from echogrid.simulation.acoustics import Physics, absorption, acoustics, bessel_beam, speed_of_sound
+from echogrid.simulation.acoustics import Physics, absorption, acoustics, speed_of_sound
+from echogrid.simulation.beam_patterns import bessel_beam
 from echogrid.simulation.echo import FAN_RAD
 from echogrid.simulation.simulate import RAYS, Simulator, disturb, passers_by, rotary_scan, sonar_poses
 from echogrid.simulation.targets import Cylinder, Edge

@@ -8,18 +8,18 @@ import pytest
 
 from echogrid.errors import UsageError
 from echogrid.metrics import FREE, HIDDEN, SURFACE
-from echogrid.models.local_map import LOCAL_CELLS
 from echogrid.models.model import LOOK_RAD
-from echogrid.models.network import LIMIT, Network, forward, inputs
+from echogrid.models.networks.local_map import LOCAL_CELLS
+from echogrid.models.networks.paper_network import LIMIT, Network, forward, inputs
 from echogrid.robot import Robot
 from echogrid.simulation.drive import truth_of
 from echogrid.simulation.rooms import SHAPES, random_world
-from echogrid.training import descent
 from echogrid.training import drives as driving
-from echogrid.training import examples as making
+from echogrid.training import gradient_descent as descent
+from echogrid.training import paper_examples as making
 from echogrid.training import paper_training as training
-from echogrid.training.descent import train
-from echogrid.training.examples import FRAMES, POINTS, VIEWS, Examples, random_way
+from echogrid.training.gradient_descent import train
+from echogrid.training.paper_examples import FRAMES, POINTS, VIEWS, Examples, random_way
 from echogrid.training.paper_training import PRIOR, PaperRecipe, fit, initial, loss
 
 RECIPE = PaperRecipe(drives=16, epochs=3, hidden=(8, 4), batch=4, seed=5)

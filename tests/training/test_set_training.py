@@ -5,14 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from echogrid.mapping.registry import sensor_model
 from echogrid.metrics import FREE, HIDDEN, SURFACE
-from echogrid.models import set_layers
-from echogrid.models.set_layers import fused, initial, nearest
-from echogrid.models.set_network import SetNetwork
-from echogrid.models.table import sensor_model
-from echogrid.training import descent, drives, set_training
-from echogrid.training.descent import descend, train
-from echogrid.training.lessons import FRAMES, POINTS, REACH_M, Lessons, lessons
+from echogrid.models.networks import set_layers
+from echogrid.models.networks.set_layers import fused, initial, nearest
+from echogrid.models.networks.set_network import SetNetwork
+from echogrid.training import drives, set_training
+from echogrid.training import gradient_descent as descent
+from echogrid.training.gradient_descent import descend, train
+from echogrid.training.set_lessons import FRAMES, POINTS, REACH_M, Lessons, lessons
 from echogrid.training.set_training import (
     BEHIND_WEIGHT,
     FAR_WEIGHT,

@@ -30,7 +30,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from echogrid.errors import EchogridError
-from echogrid.models.table import DEFAULT, sensor_model
+from echogrid.mapping.registry import DEFAULT, sensor_model
 from echogrid.robot import robot_yaml
 from experiments.common import report
 from experiments.studies.generalise import (

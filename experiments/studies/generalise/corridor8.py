@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from echogrid import Frame, Robot
-from echogrid.models.local_map import LOCAL_CELL_M
+from echogrid.models.networks.local_map import LOCAL_CELL_M
 from experiments.common import corridor8 as recording
 from experiments.common.maps import mapped
 from experiments.common.pool import each

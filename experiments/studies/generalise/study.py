@@ -10,8 +10,8 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid import Grid
+from echogrid.mapping.registry import MODELS, sensor_model
 from echogrid.metrics import Truth
-from echogrid.models.table import MODELS, sensor_model
 from experiments.common.bootstrap import interval
 from experiments.common.maps import SHOWN
 from experiments.common.report import table

@@ -9,8 +9,8 @@ from numpy import ndarray
 from scipy import ndimage
 
 from echogrid import Grid, Robot
+from echogrid.mapping.registry import sensor_model
 from echogrid.metrics import FREE_BELOW, OCCUPIED_ABOVE
-from echogrid.models.table import sensor_model
 from echogrid.simulation.drive import tour
 from experiments.common.maps import mapped
 from experiments.common.pool import each

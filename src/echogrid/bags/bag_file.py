@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 from rosbags.rosbag2 import Reader
 
-from echogrid.bags.definitions import Types
-from echogrid.bags.streamed import StreamedBag
+from echogrid.bags.message_types import Types
+from echogrid.bags.ros1_stream import StreamedBag
 from echogrid.errors import EchogridError, InputError
 from echogrid.files import printable
 

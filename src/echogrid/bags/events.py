@@ -11,7 +11,6 @@ from numpy import ndarray
 
 from echogrid.bags.bag_file import Message
 from echogrid.robot import Robot
-from echogrid.ros.array import base_of
 from echogrid.ros.messages import (
     ODOMETRY,
     RANGE,
@@ -25,6 +24,7 @@ from echogrid.ros.messages import (
     ranges_of,
     seconds,
 )
+from echogrid.ros.sonars import base_of
 from echogrid.ros.transforms import Transforms
 
 BEGIN_S = 1.0

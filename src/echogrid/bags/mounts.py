@@ -9,8 +9,8 @@ from numpy import ndarray
 from echogrid.bags.survey import Heard, Survey
 from echogrid.errors import InputError
 from echogrid.robot import Robot
-from echogrid.ros.array import BEAM_WIDTH_RAD, beam_width, mount, robot_of
 from echogrid.ros.messages import Sonar, few
+from echogrid.ros.sonars import BEAM_WIDTH_RAD, beam_width, mount, robot_of
 from echogrid.ros.transforms import Transforms
 
 _TURNED_M, _TURNED_RAD = 0.01, np.deg2rad(1.0)

@@ -14,8 +14,8 @@ from echogrid.bags.events import BEGIN_S, Event, events, stamp_of
 from echogrid.bags.topics import choose
 from echogrid.errors import InputError
 from echogrid.robot import MAX_SONARS, Robot
-from echogrid.ros.array import reading
 from echogrid.ros.messages import ODOMETRY, Choice, Sonar
+from echogrid.ros.sonars import reading
 from echogrid.ros.transforms import Transforms
 
 SURVEY_S, SURVEY_MESSAGES = 5.0, 300_000

@@ -14,7 +14,8 @@ from echogrid.frame import Log
 from echogrid.logs.formats import load_log
 from echogrid.robot import Robot, preset_names
 from echogrid.ros.messages import Choice
-from echogrid.simulation.acoustics import BEAMS, Physics
+from echogrid.simulation.acoustics import Physics
+from echogrid.simulation.beam_patterns import BEAMS
 from echogrid.simulation.world import world_names
 
 WORLD = arg(metavar="WORLD", help=f"World file, or a shipped one: {', '.join(world_names())}.")

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from echogrid.bags import bag
+from echogrid.bags import reader as bag
 from echogrid.bags.survey import Survey
 from echogrid.cli.arguments import Ros, print_notes
 from echogrid.logs.contents import LogInfo, describe

@@ -76,8 +76,8 @@ class Live:
             raise UsageError("live: found no cyclonedds, expected `pip install 'echogrid[ros2]'`") from None
         from echogrid.live.live_map import Settings
         from echogrid.live.session import Live as Mapping
-        from echogrid.models.set_network import SetNetwork
-        from echogrid.models.table import sensor_model
+        from echogrid.mapping.registry import sensor_model
+        from echogrid.models.networks.set_network import SetNetwork
 
         model = sensor_model(self.interpreter)
         if not isinstance(model, SetNetwork):
@@ -197,7 +197,7 @@ class _Saver:
 
 
 def _write(folder: Path, snapshot: "Snapshot") -> None:
-    from echogrid.output.mapfile import write_map
+    from echogrid.output.map_file import write_map
 
     write_map(folder, snapshot.grid, snapshot.path, snapshot.settings, snapshot.title)
 

@@ -72,8 +72,8 @@ class Map:
 
     def run(self) -> None:
         """Map the log and write the folder."""
-        from echogrid.models.table import sensor_model
-        from echogrid.output.mapfile import write_map
+        from echogrid.mapping.registry import sensor_model
+        from echogrid.output.map_file import write_map
 
         check_map(self.resolution, self.half_life)
         log, robot, named = open_log(self.log, self.robot, self.ros.choice())
@@ -172,7 +172,7 @@ class Score:
     def run(self) -> None:
         """Print the scores."""
         from echogrid.metrics import score
-        from echogrid.output.mapfile import read_map, read_truth
+        from echogrid.output.map_file import read_map, read_truth
 
         for name, value in asdict(score(read_map(self.map), read_truth(self.truth))).items():
             print(f"{name:13} {value}" if isinstance(value, int) else f"{name:13} {value:.4f}")

@@ -41,7 +41,7 @@ class Simulate:
     def run(self) -> None:
         """Write the log and its truth."""
         from echogrid.logs.csv_log import write_csv
-        from echogrid.output.mapfile import write_truth
+        from echogrid.output.map_file import write_truth
         from echogrid.simulation.drive import along, read_waypoints, tour, truth_of
         from echogrid.simulation.simulate import Simulator
 
@@ -129,7 +129,7 @@ class Train:
 
     def run(self) -> None:
         """Write the weights."""
-        from echogrid.training.descent import train
+        from echogrid.training.gradient_descent import train
         from echogrid.training.paper_training import PaperRecipe
         from echogrid.training.set_training import SetRecipe
 

@@ -12,8 +12,8 @@ from typing import Any
 
 from echogrid.live.sonar_array import SonarArray, SonarSaid
 from echogrid.robot import MAX_SONARS
-from echogrid.ros.array import beam_width, reading
 from echogrid.ros.messages import seconds
+from echogrid.ros.sonars import beam_width, reading
 from echogrid.ros.transforms import Transforms
 
 SETTLE_S, LONGEST_S = 2.0, 10.0

@@ -14,8 +14,8 @@ from echogrid.frame import Frame, Track
 from echogrid.grid import Grid
 from echogrid.live.sonar_array import SonarArray
 from echogrid.mapping.mapper import Mapper
-from echogrid.models.set_network import SetNetwork
-from echogrid.output.map_server import occupancy
+from echogrid.models.networks.set_network import SetNetwork
+from echogrid.output.map_server_file import occupancy
 from echogrid.robot import robot_yaml
 from echogrid.ros.messages import Choice
 

@@ -8,8 +8,8 @@ from typing import Any
 from echogrid.live.hearing import SETTLE_S, Heard, Hearing
 from echogrid.live.live_map import LiveMap, Picture, Settings, Snapshot
 from echogrid.live.sonar_array import Mounts, SonarArray, frames_of, lack, listed, mounts_of
-from echogrid.models.set_network import SetNetwork
-from echogrid.ros.array import fixed_of
+from echogrid.models.networks.set_network import SetNetwork
+from echogrid.ros.sonars import fixed_of
 
 REBUILD_S = 10.0
 """Time between two changes of the array, s."""

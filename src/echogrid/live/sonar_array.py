@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from echogrid.ros.array import base_of, fixed_of, mount, robot_of
+from echogrid.ros.gathering import Scans
 from echogrid.ros.messages import Choice, natural
-from echogrid.ros.scans import Scans
+from echogrid.ros.sonars import base_of, fixed_of, mount, robot_of
 from echogrid.ros.transforms import Transforms
 
 Mounts = dict[str, Float[ndarray, "3"]]

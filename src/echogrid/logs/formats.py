@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from echogrid.bags import bag
+from echogrid.bags import reader as bag
 from echogrid.errors import InputError
 from echogrid.files import printable
 from echogrid.frame import Log

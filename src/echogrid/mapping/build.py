@@ -7,8 +7,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from echogrid.frame import Frame
 from echogrid.grid import Grid
 from echogrid.mapping.mapper import Mapper
+from echogrid.mapping.registry import DEFAULT, sensor_model
 from echogrid.models.model import Evidence, Model
-from echogrid.models.table import DEFAULT, sensor_model
 from echogrid.robot import Robot
 
 WORKERS = 2

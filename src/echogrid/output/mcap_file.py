@@ -24,7 +24,7 @@ from echogrid.frame import Frame
 from echogrid.geometry import compose, inverse
 from echogrid.grid import Grid
 from echogrid.output.follower import Pace
-from echogrid.output.map_server import occupancy
+from echogrid.output.map_server_file import occupancy
 from echogrid.robot import Robot
 
 MAP_FRAME, ROBOT_FRAME = "map", "base_link"

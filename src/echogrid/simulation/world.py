@@ -14,8 +14,8 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from echogrid.errors import InputError, UsageError
-from echogrid.keys import Keys, as_number, parse_yaml, shown
 from echogrid.simulation.targets import Corner, Cylinder, Edge, Plane
+from echogrid.yaml_keys import Keys, as_number, parse_yaml, shown
 
 SMOOTH_M, ROUGH_M = 0.05e-3, 2.0e-3
 """Rms heights of a mirror (varnished wood) and of the paper's almost ideal wall (granulated paint)."""

@@ -19,11 +19,11 @@ from numpy import ndarray
 
 from echogrid.grid import logit
 from echogrid.metrics import FREE, HIDDEN, SURFACE
-from echogrid.models.local_map import surrounding
-from echogrid.models.network import ZONE, Layers, Network, inputs, look
+from echogrid.models.networks.local_map import surrounding
+from echogrid.models.networks.paper_network import ZONE, Layers, Network, inputs, look
 from echogrid.robot import Robot
-from echogrid.training.descent import Recipe, descend
-from echogrid.training.examples import POINTS, Examples, generate
+from echogrid.training.gradient_descent import Recipe, descend
+from echogrid.training.paper_examples import POINTS, Examples, generate
 
 PRIOR = 0.15
 """Share of surface among the points that single looks are trained on, about that of a local map."""

@@ -17,7 +17,7 @@ from numpy import ndarray
 
 from echogrid.metrics import FREE, SURFACE
 from echogrid.models.model import LOOK_RAD
-from echogrid.models.set_layers import (
+from echogrid.models.networks.set_layers import (
     HIDDEN_UNITS,
     Tokens,
     Weights,
@@ -28,10 +28,10 @@ from echogrid.models.set_layers import (
     initial,
     nearest,
 )
-from echogrid.models.set_network import SetNetwork
+from echogrid.models.networks.set_network import SetNetwork
 from echogrid.robot import Robot
-from echogrid.training.descent import Recipe, descend
-from echogrid.training.lessons import POINTS, REACH_M, Lessons, lessons
+from echogrid.training.gradient_descent import Recipe, descend
+from echogrid.training.set_lessons import POINTS, REACH_M, Lessons, lessons
 
 VIEWS = 20
 """Frames from which a point is looked at in a step; of all that reach it, drawn anew in each step."""

@@ -1,0 +1,1 @@
+"""Models from the literature: one reading after the other, or the whole log at once."""

@@ -1,0 +1,165 @@
+"""The set network's local map: what a scan tells of bearings and rings round the robot, for any array of sonars."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from numpy import ndarray
+
+from echogrid.geometry import wrap
+from echogrid.models.model import LOOK_RAD
+from echogrid.models.networks.set_layers import TOKENS, Tokens, Weights, along, encode, evidence, nearest
+
+BEARINGS, RINGS, RING_M = 64, 52, 0.05
+"""The local map: bearings round the robot, and rings of this width up to REACH_M and one beyond."""
+
+REACH_M = (RINGS - 2) * RING_M
+"""How far from the robot the network speaks."""
+
+UNDER = -2.0
+"""Log-odds of the floor under the robot."""
+
+
+def asked(mounts: Float[ndarray, "*n sonars 3"]) -> Int[ndarray, "*n bearings tokens"]:
+    """The sonars that are asked for each bearing of the local map, see ``nearest``."""
+    return nearest(mounts, np.arange(BEARINGS) * (2 * np.pi / BEARINGS))
+
+
+class Mounted(NamedTuple):
+    """What a robot's array fixes of the local map; a JAX pytree, so that arrays of one size share a compilation."""
+
+    sonar: Int[Array | ndarray, "tokens bearings"]
+    """Column of the readings, of which one more than there are sonars is nan."""
+    axis: Float[Array | ndarray, "tokens bearings"]
+    ahead: Float[Array | ndarray, "tokens bearings"]
+    aside: Float[Array | ndarray, "tokens bearings"]
+    distance: Float[Array | ndarray, "tokens bearings rings"]
+    """From each sonar to each point, m."""
+    looks: Float[Array | ndarray, "tokens bearings rings"]
+    """1 where the sonar looks at the point."""
+    under: Bool[ndarray, "rings"]
+    """Rings on which the robot itself stands."""
+    max_range: float
+
+
+def array_of(mounts: Float[ndarray, "sonars 3"], max_range: float, footprint_radius: float) -> Mounted:
+    """Prepare for an array: mounts in m and rad (nan: no such sonar)."""
+    bearing = np.arange(BEARINGS) * (2 * np.pi / BEARINGS)
+    sonar = asked(mounts).T
+    there = sonar >= 0
+    placed = np.asarray(along(np.moveaxis(mounts[sonar], -1, 0), bearing))
+    axis, ahead, aside = np.where(there, placed, 0.0).astype(np.float32)
+    ring = (np.arange(RINGS) + 0.5) * RING_M
+    forward, left = ring - ahead[..., None], -aside[..., None]
+    off = np.abs(wrap(np.arctan2(left, forward) - axis[..., None]))
+    distance = np.hypot(forward, left).astype(np.float32)
+    looks = (there[..., None] & (off <= LOOK_RAD)).astype(np.float32)
+    return Mounted(sonar, axis, ahead, aside, distance, looks, ring < footprint_radius, max_range)
+
+
+def moved(
+    array: Mounted, mounts: Float[Array | ndarray, "sonars 3"], sonar: Int[Array | ndarray, "bearings tokens"]
+) -> Mounted:
+    """The array with its sonars at other mounts (m, m, rad), and those asked for each bearing as of ``asked``."""
+    bearing = jnp.arange(BEARINGS) * (2 * np.pi / BEARINGS)
+    array = array._replace(sonar=sonar.T)
+    there = array.sonar >= 0
+    axis, ahead, aside = along(jnp.moveaxis(jnp.asarray(mounts)[array.sonar], -1, 0), bearing)
+    axis, ahead, aside = (jnp.where(there, value, 0.0) for value in (axis, ahead, aside))
+    ring = (np.arange(RINGS) + 0.5) * RING_M
+    forward, left = ring - ahead[..., None], -aside[..., None]
+    off = jnp.arctan2(left, forward) - axis[..., None]
+    off = jnp.abs(jnp.arctan2(jnp.sin(off), jnp.cos(off)))
+    looks = jnp.where(there[..., None] & (off <= LOOK_RAD), 1.0, 0.0)
+    return array._replace(axis=axis, ahead=ahead, aside=aside, distance=jnp.hypot(forward, left), looks=looks)
+
+
+def _bearing_of(x, y):
+    """Bearing of points in units of the local map's bearings, in [0, BEARINGS); exact to 0.2 degrees."""
+    across, along_ = jnp.abs(y), jnp.abs(x)
+    z = jnp.minimum(across, along_) / (jnp.maximum(across, along_) + 1e-9)
+    a = z * (np.pi / 4 + 0.273 * (1 - z))
+    a = jnp.where(across > along_, np.pi / 2 - a, a)
+    a = jnp.where(x < 0, np.pi - a, a)
+    a = jnp.where(y < 0, 2 * np.pi - a, a)
+    return a * (BEARINGS / (2 * np.pi))
+
+
+def local_map(
+    w: Weights, array: Mounted, ranges: Float[Array, "scans sonars"], traits: Float[Array, "scans traits"]
+) -> Float[Array, "scans bearings rings"]:
+    """What scans (m) tell of the points of the local map: log-odds; 0 where no sonar that fired looks."""
+    scans = len(ranges)
+    padded = jnp.pad(ranges, [(0, 0), (0, 1)], constant_values=jnp.nan)
+    reading = jnp.moveaxis(padded[:, array.sonar], 0, 1)
+    spread = lambda v: jnp.broadcast_to(v[:, None], reading.shape).reshape(TOKENS, -1)  # noqa: E731
+    told = Tokens(
+        reading.reshape(TOKENS, -1),
+        jnp.full(scans * BEARINGS, array.max_range, jnp.float32),
+        spread(array.axis),
+        spread(array.ahead),
+        spread(array.aside),
+        jnp.repeat(traits.T, BEARINGS, axis=1),
+    )
+    told = jax.lax.optimization_barrier(told)
+    profiles, rings = jax.lax.optimization_barrier(encode(w, told))
+    profiles = profiles.reshape(-1, TOKENS, scans, BEARINGS, 1)
+    rings = rings.reshape(-1, scans, BEARINGS, 1)
+    # Without an echo any number serves, for the profile is 0.
+    heard, fired = jax.lax.optimization_barrier(
+        (
+            jnp.where(jnp.isfinite(reading), reading, 0.0)[..., None],
+            jnp.where(jnp.isnan(reading), 0.0, 1.0)[..., None],
+        )
+    )
+    beyond = array.distance[:, None] - heard
+    ring = jnp.asarray((np.arange(RINGS) + 0.5) * RING_M, jnp.float32)
+    found = jax.lax.optimization_barrier(evidence(profiles, rings, beyond, ring))
+    spoken = sum(array.looks[k] * fired[k] for k in range(TOKENS))
+    return jnp.where(array.under, UNDER, jnp.where(spoken > 0, found, 0.0))
+
+
+def view(
+    w: Weights,
+    array: Mounted,
+    ranges: Float[Array, "scans sonars"],
+    traits: Float[Array, "scans traits"],
+    x: Float[Array, "scans *n"],
+    y: Float[Array, "scans *n"],
+) -> Float[Array, "scans *n"]:
+    """What scans (m) tell of points (robot frame, m): log-odds; 0 = nothing, as beyond REACH_M."""
+    table = local_map(w, array, ranges, traits)
+    # The first bearing comes again behind the last.
+    table = jnp.concatenate([table, table[:, :1]], axis=1).reshape(-1)
+    distance = jnp.sqrt(x * x + y * y)
+    bearing, out = _bearing_of(x, y), distance / RING_M - 0.5
+    table, bearing, out = jax.lax.optimization_barrier((table, bearing, out))
+    i = jnp.clip(bearing.astype(jnp.int32), 0, BEARINGS - 1)
+    j = jnp.clip(out.astype(jnp.int32), 0, RINGS - 2)
+    u, v = bearing - i, jnp.clip(out - j, 0.0, 1.0)
+    first = jnp.arange(len(x), dtype=jnp.int32).reshape(-1, *[1] * (x.ndim - 1)) * ((BEARINGS + 1) * RINGS)
+    first = first + i * RINGS + j
+    take = lambda at: table.at[at].get(mode="promise_in_bounds")  # noqa: E731
+    low = (1 - v) * take(first) + v * take(first + 1)
+    high = (1 - v) * take(first + RINGS) + v * take(first + RINGS + 1)
+    return jnp.where(distance <= REACH_M, (1 - u) * low + u * high, 0.0)
+
+
+def moved_view(
+    w: Weights,
+    array: Mounted,
+    ranges: Float[Array, "scans sonars"],
+    traits: Float[Array, "scans traits"],
+    x: Float[Array, "scans *n"],
+    y: Float[Array, "scans *n"],
+    mounts: Float[Array, "scans sonars 3"],
+    sonar: Int[Array, "scans bearings tokens"],
+) -> Float[Array, "scans *n"]:
+    """``view`` of scans whose sonars looked from mounts of their own; see ``moved``."""
+
+    def one(ranges, traits, x, y, mounts, sonar):
+        return view(w, moved(array, mounts, sonar), ranges[None], traits[None], x[None], y[None])[0]
+
+    return jax.vmap(one)(ranges, traits, x, y, mounts, sonar)
