@@ -211,14 +211,19 @@ class _Sweep(Fusion):
 
     @override
     def read(self, batch: Sequence[Frame], filled: bool = False) -> Callable[[], Evidence]:
-        poses = np.array([frame.pose for frame in batch])
-        corner = np.floor(poses[:, 1::-1].min(axis=0) / self._resolution).astype(np.int64) - self._margin
-        # The last batch is filled up, so that one compilation serves all.
-        fill = [(0, BATCH - len(batch)), (0, 0)]
-        ranges = np.pad([frame.ranges for frame in batch], fill, constant_values=np.nan)
-        readings = reading_of(self.robot, np.pad(poses, fill, mode="edge"), ranges, corner, self._resolution)
-        # Each reading meets the cells as those before it have left them, so the work waits for ``fuse``.
-        return lambda: Evidence(corner, corner + self._side, (poses, readings))
+        robot, margin, side = self.robot, self._margin, self._side
+
+        def work() -> Evidence:
+            poses = np.array([frame.pose for frame in batch])
+            corner = np.floor(poses[:, 1::-1].min(axis=0) / self._resolution).astype(np.int64) - margin
+            # The last batch is filled up, so that one compilation serves all.
+            fill = [(0, BATCH - len(batch)), (0, 0)]
+            ranges = np.pad([frame.ranges for frame in batch], fill, constant_values=np.nan)
+            readings = reading_of(robot, np.pad(poses, fill, mode="edge"), ranges, corner, self._resolution)
+            # Each reading meets the cells as those before it have left them: the sweep is for ``fuse``.
+            return Evidence(corner, corner + side, (poses, readings))
+
+        return work
 
     @override
     def fuse(self, grown: GrowingGrid, evidence: Evidence) -> None:

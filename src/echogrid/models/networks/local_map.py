@@ -187,12 +187,12 @@ class _Patches(Fusion):
 
     @override
     def read(self, batch: Sequence[Frame], filled: bool = False) -> Callable[[], Evidence]:
-        at = placed(batch, BATCH, self._side, self._resolution)
-        first, patches = at.first[: len(batch)], self._patches
+        patches = self._patches
 
         def work() -> Evidence:
+            at = placed(batch, BATCH, self._side, self._resolution)
             evidence = np.asarray(patches(at.ranges, at.corner, at.theta))[: len(batch)]
-            spoken = ~np.isnan(evidence)
+            spoken, first = ~np.isnan(evidence), at.first[: len(batch)]
             told = _Told(first, np.where(spoken, evidence, np.float32(0)), spoken)
             return Evidence(first.min(axis=0), first.max(axis=0) + self._side, told)
 
