@@ -38,6 +38,8 @@ __all__ = ["EchogridError", "Frame", "Grid", "Log", "Robot", "World", "build_map
 
 def __getattr__(name: str) -> object:
     # Names are fetched when they are first used: reading a log must not pay for the start of JAX.
+    if name == "dds":  # the messages that programs send to ``echogrid live``
+        return import_module("echogrid.live.dds_types")
     if name in _HOME:
         return getattr(import_module(f"echogrid.{_HOME[name]}"), name)
     raise AttributeError(f"module 'echogrid' has no attribute {name!r}")
