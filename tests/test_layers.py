@@ -12,7 +12,7 @@ PACKAGE = Path(echogrid.__file__).parent
 
 # The rooms along the way of the data. A room imports only from rooms before it, a module only from modules before it.
 PLAN = {
-    "": "errors geometry files yaml_keys robot frame grid metrics",
+    "": "errors geometry files yaml_keys robot doubts frame grid metrics",
     "simulation": "regions targets world beam_patterns acoustics rooms drive echo simulate",
     "ros": "rigid transforms sonars gathering messages",
     "bags": "ros1_stream message_types bag_file events topics survey mounts reading_plan reader",

@@ -2,13 +2,15 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from math import hypot
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from echogrid.errors import InputError
+from echogrid.doubts import Judge
+from echogrid.errors import EchogridError, InputError
 from echogrid.robot import Robot
 
 
@@ -71,10 +73,15 @@ class Log:
     open: Callable[[], Iterator[Frame]]
     """Starts again at the first frame."""
     notes: dict[str, int] = field(default_factory=dict)
-    """What was left out or assumed when the log was last gone through, and how often; 0 where that says nothing."""
+    """What was left out, assumed or doubtful when the log was last gone through, and how often; 0 where that says
+    nothing."""
+
+    judges: bool = False
+    """Whether the reader shows its frames to a judge itself, as one that has them in arrays can do for less."""
 
     def __iter__(self) -> Iterator[Frame]:
-        return self.open()
+        """Go through the frames; at their end the notes are those of this time."""
+        return self.open() if self.judges else _judged(self.open(), Judge(self.robot), self.notes)
 
     @staticmethod
     def of(frames: Iterable[Frame], name: str = "frames") -> "Log":
@@ -88,3 +95,34 @@ class Log:
         if len(sonars) > 1:
             raise InputError(name, f"frames of {sonars[0]} and of {sonars[-1]} readings", "one number")
         return Log(name, sonars[0] if sonars else 0, None, lambda: iter(kept))
+
+
+_BATCH = 32
+"""Frames that are judged together."""
+
+
+def _judged(frames: Iterable[Frame], judge: Judge, notes: dict[str, int]) -> Iterator[Frame]:
+    """The frames of a log; at their end its notes are told.
+
+    Args:
+        frames: of the log; those before an error come before it.
+        judge: new, for it.
+        notes: of the log; those of the judge join what its reader noted when all frames were taken.
+    """
+    notes.clear()
+    source, error = iter(frames), None
+    while error is None:
+        batch: list[Frame] = []
+        try:
+            batch.extend(islice(source, _BATCH))
+        except EchogridError as caught:
+            error = caught
+        if not batch and error is None:
+            break
+        if batch:
+            columns = zip(*((frame.stamp, frame.pose, frame.ranges) for frame in batch), strict=True)
+            judge.see(*(np.array(column, dtype=float) for column in columns))
+            yield from batch
+    if error is not None:
+        raise error
+    notes |= judge.notes()

@@ -15,6 +15,7 @@ def test_info_counts_as_one_does_by_hand(run, tmp_path):
         "sonars": "2",
         "span": "2.00 s, 1.5 Hz",
         "drive": "6.00 m within x 0.00 .. 3.00, y 0.00 .. 5.00 m",
+        "fastest": "10.00 m/s, 0 degrees/s",
         "no echo": "25.0%",
         "not fired": "12.5%",
         "stale": "50.0% of the finite readings repeat the one before",

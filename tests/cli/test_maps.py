@@ -153,7 +153,7 @@ def test_a_drive_makes_the_same_map_as_csv_and_as_carmen(run, tmp_path):
     np.testing.assert_array_equal(a["origin"], b["origin"])
 
 
-@pytest.mark.parametrize(("frames", "reading"), [(1, "1.0"), (1, "inf"), (70, "nan"), (70, "")])
+@pytest.mark.parametrize(("frames", "reading"), [(1, "1.0"), (1, "inf")])
 def test_a_drive_that_goes_nowhere_and_one_that_hears_nothing_make_a_map(run, tmp_path, frames, reading):
     rows = "".join(f"{i},0,0,0,{reading},{reading}\n" for i in range(frames))
     log = put(tmp_path / "still.csv", "t,x,y,theta,r0,r1\n" + rows)

@@ -3,6 +3,7 @@ import pytest
 from numpy import inf
 
 from echogrid import Frame, Robot, build_map
+from echogrid.doubts import STAYS
 from echogrid.errors import UsageError
 from echogrid.models.batches import BATCH
 from echogrid.models.model import Evidence, Fusion, Model
@@ -85,7 +86,7 @@ def test_frames_that_do_not_fit_the_robot_are_refused_in_one_line(lengths):
 
 def test_a_pose_that_is_far_off_is_refused_in_one_line():
     with pytest.raises(UsageError, match=r"^map: found a drive that spans 1e\+07 x .* m at 0.5 m a cell, expected"):
-        list(build_map([frame(0, 0, 0), frame(1e7, 1e7, 0)], POINT_LIKE, Visits()))
+        list(build_map([frame(0, 0, 0), *[frame(1e7, 1e7, 0)] * (STAYS + 1)], POINT_LIKE, Visits()))
 
 
 def test_frames_are_read_once_and_no_more_than_a_few_batches_ahead():

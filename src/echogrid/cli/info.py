@@ -66,6 +66,7 @@ def _print_contents(info: LogInfo) -> None:
     rate = f", {(info.frames - 1) / info.span_s:.1f} Hz" if info.span_s > 0 else ""
     print(f"span          {info.span_s:.2f} s{rate}")
     print(f"drive         {info.length_m:.2f} m within x {x0:.2f} .. {x1:.2f}, y {y0:.2f} .. {y1:.2f} m")
+    print(f"fastest       {info.fastest_m_s:.2f} m/s, {np.rad2deg(info.fastest_rad_s):.0f} degrees/s")
     print(f"no echo       {info.no_echo:.1%}")
     print(f"not fired     {info.not_fired:.1%}")
     print(f"stale         {info.stale:.1%} of the finite readings repeat the one before")

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
+import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import OmitArgPrefixes, Positional, arg
@@ -93,13 +94,14 @@ class Map:
         """Map the log, and show the followers its frames and the map on the way."""
         from echogrid.mapping.build import build_map
 
-        path, count, grid = Track(), 0, None
+        path, count, valid, grid = Track(), 0, False, None
 
         def frames() -> Iterator[Frame]:
-            nonlocal count
+            nonlocal count, valid
             for frame in bar(log, "mapping", "scan"):
                 path.add(frame)
                 count += 1
+                valid = valid or not np.isnan(frame.ranges).all()
                 for follower in followers:
                     follower.add(frame)
                 yield frame
@@ -110,13 +112,17 @@ class Map:
                 follower.keep(grid)
         if grid is None:
             raise InputError(log.name, "no frames", "at least one")
+        if not valid:
+            found = "no valid reading of any sonar: all are 0 m, nan or below min_range"
+            raise InputError(log.name, found, "ranges in m, or inf where there is no echo")
         seconds = time.perf_counter() - begin
         return _Mapped(grid.refined() if self.refine else grid, path.points(), count, seconds)
 
     def _settings(self, log: Log, robot: Robot, model: "Model", mapped: _Mapped) -> dict[str, Any]:
         """What run.yaml holds: what is needed to repeat the run."""
         settings = asdict(self) | {"log": log.name, "robot": robot_yaml(robot), "frames": mapped.frames}
-        return settings | {"resolution": mapped.grid.resolution} | model.told()
+        settings |= {"resolution": mapped.grid.resolution, "notes": dict(log.notes)}
+        return settings | model.told()
 
     def _report(self, log: Log, robot: Robot, named: bool, mapped: _Mapped) -> None:
         if not named:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import inf, nan, ndarray
 
+from echogrid.doubts import speeds
 from echogrid.errors import InputError
 from echogrid.frame import Frame, Log
 
@@ -30,6 +31,10 @@ class LogInfo:
     """Length of the line through the poses, m; the jitter of a pose that stands still counts in."""
     box_m: tuple[float, float, float, float]
     """Lowest x, lowest y, highest x, highest y of the poses in the world, m."""
+    fastest_m_s: float
+    """Highest speed between two frames that is no jump of the pose, m/s."""
+    fastest_rad_s: float
+    """Highest turn rate, likewise, rad/s."""
     no_echo: float
     """Share of readings that are no echo."""
     not_fired: float
@@ -77,7 +82,8 @@ class _Tally:
         self._start = self._end = nan
         self._length = 0.0
         self._box = (inf, inf, -inf, -inf)
-        self._last_pose: Float[ndarray, "3"] | None = None
+        self._last_pose: Float[ndarray, "4"] | None = None
+        self._fastest = np.zeros(2)
         self._last_ranges = np.full(sonars, nan)
         self._no_echo = np.zeros(sonars, dtype=np.int64)
         self._not_fired = self._finite = self._finite_later = self._stale = 0
@@ -89,18 +95,20 @@ class _Tally:
         if self.frames == 0:
             self._start = batch[0].stamp
         self._end = batch[-1].stamp
-        self._add_poses(np.array([frame.pose for frame in batch]))
+        self._add_poses(np.array([frame.stamp for frame in batch]), np.array([frame.pose for frame in batch]))
         self._add_ranges(np.array([frame.ranges for frame in batch]))
         self.frames += len(batch)
 
-    def _add_poses(self, poses: Float[ndarray, "frames 3"]) -> None:
+    def _add_poses(self, stamps: Float[ndarray, "frames"], poses: Float[ndarray, "frames 3"]) -> None:
         low, high = poses[:, :2].min(axis=0).tolist(), poses[:, :2].max(axis=0).tolist()
         x0, y0, x1, y1 = self._box
         self._box = (min(x0, low[0]), min(y0, low[1]), max(x1, high[0]), max(y1, high[1]))
-        path = poses if self._last_pose is None else np.vstack([self._last_pose, poses])
-        steps = np.diff(path[:, :2], axis=0)
-        self._length += float(np.hypot(steps[:, 0], steps[:, 1]).sum())
-        self._last_pose = poses[-1]
+        path = np.column_stack([stamps, poses])
+        path = path if self._last_pose is None else np.vstack([self._last_pose, path])
+        self._last_pose = path[-1]
+        found = speeds(path)
+        self._length += float(found.way.sum())
+        self._fastest = np.fmax(self._fastest, (found.fastest_m_s, found.fastest_rad_s))
 
     def _add_ranges(self, ranges: Float[ndarray, "frames sonars"]) -> None:
         finite = np.isfinite(ranges)
@@ -132,6 +140,8 @@ class _Tally:
             end_s=self._end,
             length_m=self._length,
             box_m=self._box,
+            fastest_m_s=float(self._fastest[0]),
+            fastest_rad_s=float(self._fastest[1]),
             no_echo=int(self._no_echo.sum()) / readings,
             not_fired=self._not_fired / readings,
             stale=self._stale / max(self._finite_later, 1),

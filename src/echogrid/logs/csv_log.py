@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import inf, nan, ndarray
 
+from echogrid.doubts import Judge
 from echogrid.errors import InputError
 from echogrid.files import printable, replacing, unwritable
 from echogrid.frame import Frame, Log
@@ -48,7 +49,8 @@ def load(path: Path, robot: Robot | None) -> Log:
     if not any(line.strip() for _, line in lines):
         raise _no_rows(printable(path))
     sonars = len(columns) - columns.index("r0")
-    return Log(printable(path), sonars, robot, partial(_frames, path, columns, robot))
+    notes: dict[str, int] = {}
+    return Log(printable(path), sonars, robot, partial(_frames, path, columns, robot, notes), notes, judges=True)
 
 
 def _columns(lines: Iterator[tuple[int, bytes]], name: str) -> tuple[str, ...]:
@@ -68,7 +70,7 @@ def _columns(lines: Iterator[tuple[int, bytes]], name: str) -> tuple[str, ...]:
     return expected
 
 
-def _frames(path: Path, columns: tuple[str, ...], robot: Robot | None) -> Iterator[Frame]:
+def _frames(path: Path, columns: tuple[str, ...], robot: Robot | None, notes: dict[str, int]) -> Iterator[Frame]:
     """Go through the rows; the frames before a wrong row come before its error."""
     name = printable(path)
     lines = numbered(path)
@@ -77,12 +79,15 @@ def _frames(path: Path, columns: tuple[str, ...], robot: Robot | None) -> Iterat
     table = Table(columns)
     first_range = columns.index("r0")
     last_stamp = -inf
+    judge = Judge(robot)
+    notes.clear()
     for first, rows in _batches(lines, name):
         values, error = _parse(rows, columns, first, name)
         good, fault = table.check(values, last_stamp)
         values = values[:good]
         ranges = values[:, first_range:]
         ranges[ranges < 0] = nan  # only -inf is left of the negative ones
+        judge.see(values[:, 0], values[:, 1:4], ranges)
         if robot is not None:
             ranges = robot.clean(ranges)
         # Copied: whoever keeps the poses of a long drive would keep all its ranges with them.
@@ -97,6 +102,7 @@ def _frames(path: Path, columns: tuple[str, ...], robot: Robot | None) -> Iterat
         last_stamp = stamps[-1]
     if last_stamp == -inf:
         raise _no_rows(name)  # opening has seen one: the file has changed since
+    notes |= judge.notes()
 
 
 def _no_rows(name: str) -> InputError:

@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 
+from echogrid.doubts import Whereabouts
 from echogrid.frame import Frame
 from echogrid.grid import Grid
 from echogrid.mapping.mapper import Mapper
@@ -33,7 +34,7 @@ def build_map(
 
     Yields:
         The map so far, after each batch of frames: views of the growing arrays, not copies. A model that needs the
-        whole log yields once.
+        whole log yields once. Frames at places that no robot can have got to are left out (``Whereabouts``).
 
     Raises:
         UsageError: the frames do not fit the robot, the map would become too large, or evidence is to fade of a model
@@ -42,7 +43,9 @@ def build_map(
     mapper = Mapper(robot, sensor_model(model) if isinstance(model, str) else model, resolution, half_life)
     with ThreadPoolExecutor(WORKERS) as pool:
         waiting: deque[Future[Evidence]] = deque()
-        for batch in mapper.batches(frames):
+        where = Whereabouts()
+        reached = (frame for frame in frames if where.takes(frame.stamp, *frame.pose[:2].tolist()))
+        for batch in mapper.batches(reached):
             # Of one size, for a log is read in less time than another program is compiled.
             waiting.append(pool.submit(mapper.prepare(batch, filled=True)))
             # What comes before it is fused while it is interpreted.

@@ -1,0 +1,276 @@
+"""What is doubtful about a log, judged from its frames while it is read, whoever reads it.
+
+A doubt is one line: what was found, where, how much, the likely cause and the remedy. A faultless log has none.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import inf, nan, ndarray
+
+from echogrid.robot import Robot
+
+FASTEST_M_S, FASTEST_RAD_S = 10.0, 10.0
+"""No robot that maps with sonars drives or turns faster."""
+
+JUMP_M, JUMP_RAD = 0.5, 0.8
+"""A step is no jump of the pose if it is shorter: where stamps are coarse the speed says little."""
+
+OFTEN = 0.1
+"""If more than this share of the steps is too fast it is no jump: the unit, or the clock, is another."""
+
+LEAST_STEPS, LEAST_READINGS = 20, 100
+"""Of fewer nothing is concluded."""
+
+MOST_INVALID = 0.5
+"""Share of the readings that are too short or not valid from which it is told."""
+
+REPEATED = 0.05
+"""Share of the echoes that have the very longest value from which that is taken for the sensor's no echo."""
+
+GLITCH_M = 500.0
+"""A pose that lies farther than this from the last good one, though no robot can have got there, is left out."""
+
+STAYS = 20
+"""So many frames in a row at the far place, and the robot is taken to be there."""
+
+_WHOLE, _EVERY = 16, 8
+"""After so many batches the ranges and headings of every so many-th alone are looked at: shares need no more."""
+
+_SAME_M, _LEAST_S = 1e-6, 0.02
+_DEGREES = {"degrees": np.pi / 180, "tenths of a degree": np.pi / 1800}
+_ALONG = 0.8
+"""Mean resultant length from which headings agree with the way that is driven: 1 if all do, 0 if none."""
+
+
+@dataclass
+class Motion:
+    """How a log says that the robot moved."""
+
+    steps: int = 0
+    fast: int = 0
+    """Steps that no robot can have driven."""
+    judged: int = 0
+    """Steps whose turn was looked at."""
+    turned: int = 0
+    """Those of them in which no robot can have turned so far."""
+    first: tuple[float, float] = (nan, 0.0)
+    """Stamp (s) and length (m) of the first jump."""
+    longest_m: float = 0.0
+    """Of all jumps."""
+
+
+class Whereabouts:
+    """Tells poses that a robot can have got to from glitches of its odometry, one after the other."""
+
+    def __init__(self) -> None:
+        self.left_out = 0
+        """Poses that were not taken."""
+        self._good: tuple[float, float, float] | None = None
+        self._away = 0
+
+    def near(self, rows: Float[ndarray, "poses _"]) -> bool:
+        """Take poses (s, m, m, ..) at once, if all are so near that there can be no doubt; else none is taken."""
+        if self._good is None or self._away or not len(rows):
+            return not len(rows)
+        if max(np.max(np.abs(rows[:, 1] - self._good[1])), np.max(np.abs(rows[:, 2] - self._good[2]))) > GLITCH_M / 2:
+            return False
+        self._good = tuple(rows[-1, :3].tolist())
+        return True
+
+    def takes(self, stamp: float, x: float, y: float) -> bool:
+        """Whether a pose (s, m) is taken: a robot can have got there, or stays there."""
+        if self._good is not None:
+            before, x0, y0 = self._good
+            if max(abs(x - x0), abs(y - y0)) > max(GLITCH_M, FASTEST_M_S * (stamp - before)) and self._away < STAYS:
+                self._away += 1
+                self.left_out += 1
+                return False
+        self._good, self._away = (stamp, x, y), 0
+        return True
+
+
+class Speeds(NamedTuple):
+    """Steps of a track."""
+
+    way: Float[ndarray, "steps"]
+    """m"""
+    far: Bool[ndarray, "steps"]
+    """Which are jumps: no robot can have got so far in the time."""
+    round: Bool[ndarray, "steps"]
+    """In which no robot can have turned so far."""
+    fastest_m_s: float
+    """Highest speed of a step that is no jump; nan if there is none."""
+    fastest_rad_s: float
+    """Highest turn rate, likewise."""
+
+
+def speeds(track: Float[ndarray, "poses 4"], turns: bool = True) -> Speeds:
+    """How fast a track of stamp (s), x, y (m) and heading (rad) goes; ``turns``: whether turns are looked at."""
+    took, dx, dy, turn = (track[1:] - track[:-1]).T
+    way = np.hypot(dx, dy)
+    # Stamps that are equal, or rounded, make any speed of a short step.
+    far = way > np.maximum(FASTEST_M_S * took, JUMP_M)
+    if not turns or far.all():
+        return Speeds(way, far, np.zeros(len(way), dtype=bool), nan, nan)
+    turn = np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
+    slow = np.maximum(took[~far], _LEAST_S)
+    fastest = float(np.max(way[~far] / slow)), float(np.max(turn[~far] / slow))
+    return Speeds(way, far, turn > np.maximum(FASTEST_RAD_S * took, JUMP_RAD), *fastest)
+
+
+class Judge:
+    """Sees the frames of one log, in bounded memory and at next to no cost."""
+
+    def __init__(self, robot: Robot | None = None):
+        """A new log; ``robot``: whose limits the readings are compared with."""
+        self.motion = Motion()
+        self.frames = self.readings = self.echoes = self.invalid = self.short = self.past = 0
+        """Frames; readings that were fired, those with an echo, those that are not valid, too short, or past the
+        maximum range though something was measured."""
+        self._robot = robot
+        self._last: Float[ndarray, "4"] | None = None
+        self._where, self._batches = Whereabouts(), 0
+        self._longest, self._at_longest, self._sonars_at = -inf, 0, np.zeros(0, dtype=bool)
+        self._farthest = 0.0
+        self._along: dict[str, complex] = dict.fromkeys(("radians", *_DEGREES), 0j)
+        self._driven = 0
+
+    def see(
+        self,
+        stamps: Float[ndarray, "frames"],
+        poses: Float[ndarray, "frames 3"],
+        ranges: Float[ndarray, "frames sonars"],
+    ) -> None:
+        """Take frames in their order.
+
+        Args:
+            stamps: s.
+            poses: m, m, rad.
+            ranges: m, before or after the robot's limits were applied; +inf no echo, nan not fired or not valid.
+        """
+        rows = np.column_stack([stamps, poses])
+        if not self._where.near(rows):
+            kept = [self._where.takes(*row) for row in rows[:, :3].tolist()]
+            rows, ranges = rows[kept], ranges[kept]
+        if not len(rows):
+            return
+        self._batches += 1
+        whole = self._batches <= _WHOLE or self._batches % _EVERY == 0 or not self.echoes
+        self.frames += len(rows)
+        if whole:
+            self._see_ranges(ranges)
+        self._see_poses(rows, whole)
+
+    def _see_ranges(self, ranges: Float[ndarray, "frames sonars"]) -> None:
+        echo = np.isfinite(ranges)
+        low, high = (self._robot.min_range_m, self._robot.max_range_m) if self._robot else (0.0, inf)
+        past, short = ranges >= high, ranges < low
+        unheard = int(np.count_nonzero(ranges == inf))
+        self.past += int(np.count_nonzero(past)) - unheard
+        self.short += int(np.count_nonzero(short))
+        finite = int(np.count_nonzero(echo))
+        self.invalid += ranges.size - finite - unheard
+        self.readings += finite + unheard
+        heard = echo & ~past & ~short
+        self.echoes += int(np.count_nonzero(heard))
+        longest = float(np.max(ranges, where=heard, initial=-inf))
+        if self._sonars_at.size != ranges.shape[1]:
+            self._sonars_at = np.zeros(ranges.shape[1], dtype=bool)
+        if longest > self._longest + _SAME_M:
+            self._longest, self._at_longest = longest, 0
+            self._sonars_at[:] = False
+        if longest >= self._longest - _SAME_M:
+            same = heard & (ranges >= self._longest - _SAME_M)
+            self._at_longest += int(np.count_nonzero(same))
+            self._sonars_at |= same.any(axis=0)
+        self._farthest = max(self._farthest, float(np.max(ranges, where=echo, initial=0.0)))
+
+    def _see_poses(self, rows: Float[ndarray, "frames 4"], whole: bool) -> None:
+        """Rows of stamp, x, y, heading; unless they are to be looked at as a whole, for jumps alone."""
+        track = rows if self._last is None else np.concatenate([self._last[None], rows])
+        self._last = rows[-1]
+        found = speeds(track, turns=whole)
+        self.motion.steps += len(found.way)
+        self._count_jumps(track[1:, 0], found.way, found.far)
+        if not whole or found.far.all():
+            return
+        motion, on = self.motion, ~found.far
+        motion.judged += int(np.count_nonzero(on))
+        motion.turned += int(np.count_nonzero(found.round[on]))
+        way, (dx, dy) = found.way[on], (track[1:, 1:3] - track[:-1, 1:3])[on].T
+        heading = track[1:, 3][on]
+        drives = way > 0.02
+        bearing, heading = np.arctan2(dy[drives], dx[drives]), heading[drives]
+        self._driven += len(bearing)
+        for unit, scale in (("radians", 1.0), *_DEGREES.items()):
+            # Twice the angle, for a robot may drive backwards.
+            self._along[unit] += complex(np.sum(np.exp(2j * (bearing - scale * heading))))
+
+    def _count_jumps(self, stamps: ndarray, way: ndarray, far: Bool[ndarray, "steps"]) -> None:
+        if not far.any():
+            return
+        if not self.motion.fast:
+            at = int(np.argmax(far))
+            self.motion.first = float(stamps[at]), float(way[at])
+        self.motion.fast += int(np.count_nonzero(far))
+        self.motion.longest_m = max(self.motion.longest_m, float(np.max(way[far])))
+
+    def notes(self) -> dict[str, int]:
+        """What is doubtful: a line each, and how often; 0 where that says nothing."""
+        return self._of_ranges() | self._of_poses()
+
+    def _of_ranges(self) -> dict[str, int]:
+        notes: dict[str, int] = {}
+        all_ = self.readings + self.invalid
+        limits = self._robot is not None and self._robot.max_range_m
+        if self.readings >= LEAST_READINGS and not self.echoes and not self.short:
+            cause = f"all {self.past} that measured something lie past max_range {limits:g} m (the farthest at "
+            cause += f"{self._farthest:g}): is that cm or mm, or is max_range wrong?"
+            why = cause if self.past else "are the ranges in m, is max_range right, do the sonars work?"
+            notes[f"no sonar ever heard an echo, all {self.readings} readings are no echo: {why}"] = 0
+        elif self.past > 0.9 * (self.past + self.echoes) and self.past >= LEAST_READINGS:
+            share = f"{self.past / (self.past + self.echoes):.0%} of the echoes lie past max_range {limits:g} m"
+            farthest = f"(the farthest at {self._farthest:g}) and count as no echo"
+            notes[f"{share} {farthest}: is that cm or mm, or is max_range wrong?"] = 0
+        low = self._robot.min_range_m if self._robot else 0.0
+        if self.short > MOST_INVALID * self.readings and self.readings >= LEAST_READINGS:
+            share = f"{self.short / self.readings:.0%} of the readings are below min_range {low:g} m"
+            notes[f"{share} and not used: are the ranges in m, is min_range right?"] = 0
+        repeats = self._at_longest > max(REPEATED * self.echoes, 30) and np.mean(self._sonars_at) >= 0.5
+        if repeats and all_:
+            value, often = f"{self._longest:g}", f"comes {self._at_longest} times exactly, from most sonars"
+            remedy = f"if that is how the sensor says no echo, map with a robot file whose max_range_m is {value}"
+            notes[f"the longest range, {value} m, {often}: {remedy}"] = 0
+        return notes
+
+    def _of_poses(self) -> dict[str, int]:
+        notes: dict[str, int] = {}
+        motion = self.motion
+        if self._where.left_out:
+            notes["a scan left out: its pose is where no robot can have got to"] = self._where.left_out
+        stamp, way = motion.first
+        often = motion.fast > OFTEN * motion.steps and motion.steps >= LEAST_STEPS
+        if often:
+            share = f"{motion.fast / motion.steps:.0%} of the steps are faster than {FASTEST_M_S:g} m/s"
+            notes[f"{share}: are the poses in mm or cm, or the stamps in other units than s?"] = 0
+        elif motion.fast:
+            what = f"the pose jumps by {way:.2f} m at {stamp:.2f} s"
+            more = f" and {motion.fast - 1} times more (up to {motion.longest_m:.1f} m)" if motion.fast > 1 else ""
+            notes[f"{what}{more}, faster than any robot: did the odometry start anew? cut the log there in two"] = 0
+        notes |= self._of_headings(often)
+        return notes
+
+    def _of_headings(self, fast: bool) -> dict[str, int]:
+        motion = self.motion
+        if self._driven >= 2 * LEAST_STEPS:
+            along = {unit: abs(total) / self._driven for unit, total in self._along.items()}
+            unit = max(_DEGREES, key=along.__getitem__)
+            if along[unit] > _ALONG and along["radians"] < 0.5 * along[unit]:
+                return {f"the headings agree with the way driven if theta is in {unit}: it has to be in radians": 0}
+        if motion.turned > OFTEN * motion.judged and motion.judged >= LEAST_STEPS and not fast:
+            share = f"{motion.turned / motion.judged:.0%} of the steps turn faster than {FASTEST_RAD_S:g} rad/s"
+            return {f"{share}: is theta in degrees? it has to be in radians": 0}
+        return {}

@@ -1,0 +1,166 @@
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy import inf, nan
+
+from echogrid import Frame, Log, Robot
+from echogrid.doubts import GLITCH_M, STAYS, Judge, Whereabouts, speeds
+
+P3DX = Robot.load("p3dx")
+MAX_M = P3DX.max_range_m
+
+
+def drive(frames=400, seed=0):
+    """Stamps, poses and readings of a robot that drives about, as a faultless log has them."""
+    rng = np.random.default_rng(seed)
+    heading = np.cumsum(rng.normal(0, 0.1, frames)) + rng.uniform(-3, 3)
+    step = rng.uniform(0.0, 0.06, frames)
+    xy = rng.uniform(-20, 20, 2) + np.cumsum(step[:, None] * np.column_stack([np.cos(heading), np.sin(heading)]), 0)
+    ranges = rng.uniform(0.2, MAX_M, (frames, P3DX.sonars))
+    ranges[rng.random(ranges.shape) < 0.3] = inf
+    return 1.7e9 + 0.1 * np.arange(frames), np.column_stack([xy, heading]), ranges
+
+
+def notes(stamps, poses, ranges, robot=P3DX, part=64):
+    judge = Judge(robot)
+    for i in range(0, len(stamps), part):
+        judge.see(stamps[i : i + part], poses[i : i + part], ranges[i : i + part])
+    return judge.notes()
+
+
+@given(st.integers(0, 10_000), st.sampled_from([1, 7, 64, 400]))
+def test_a_faultless_drive_is_not_doubted(seed, part):
+    assert notes(*drive(seed=seed), part=part) == {}
+
+
+@pytest.mark.parametrize("unit", [100.0, 1000.0])
+def test_ranges_in_other_units_are_told_with_their_cause(unit):
+    stamps, poses, ranges = drive()
+    (told,) = notes(stamps, poses, unit * ranges)
+    assert "past max_range" in told
+    assert "cm or mm" in told
+
+
+def test_an_array_that_never_hears_an_echo_is_told():
+    stamps, poses, ranges = drive()
+    (told,) = notes(stamps, poses, np.full_like(ranges, inf))
+    assert told.startswith("no sonar ever heard an echo, all 6400 readings are no echo")
+    ranges[:] = inf
+    ranges[-1, 3] = 1.0
+    assert notes(stamps, poses, ranges) == {}
+
+
+def test_ranges_below_the_minimum_are_told():
+    stamps, poses, ranges = drive()
+    (told,) = notes(stamps, poses, ranges / 1000)
+    assert "below min_range" in told
+
+
+def test_one_longest_value_that_comes_again_and_again_is_the_sensors_no_echo():
+    stamps, poses, ranges = drive()
+    (told,) = notes(stamps, poses, np.where(np.isinf(ranges) | (ranges > 4.0), 4.0, ranges))
+    assert told.startswith("the longest range, 4 m, comes")
+    assert "max_range_m is 4" in told
+    stale = ranges.copy()
+    stale[1::2] = stale[::2]
+    assert notes(stamps, poses, stale) == {}
+
+
+@pytest.mark.parametrize(("unit", "per_radian"), [("degrees", 180 / np.pi), ("tenths of a degree", 1800 / np.pi)])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_headings_in_degrees_are_told(unit, per_radian, backwards):
+    stamps, poses, ranges = drive()
+    poses[:, 2] += np.pi * backwards
+    told = notes(stamps, poses * [1, 1, per_radian], ranges)
+    assert list(told) == [f"the headings agree with the way driven if theta is in {unit}: it has to be in radians"]
+
+
+def test_a_robot_that_drives_sideways_is_not_doubted():
+    stamps, poses, ranges = drive()
+    rng = np.random.default_rng(1)
+    assert notes(stamps, poses + np.array([0, 0, 1.2]), ranges) == {}
+    assert notes(stamps, poses * [1, 1, 0] + [0, 0, 1] * rng.uniform(-0.2, 0.2, (400, 1)), ranges) == {}
+
+
+@given(st.integers(1, 398), st.floats(1.2, 200.0))
+def test_a_jump_is_told_with_its_time_and_length(at, far):
+    stamps, poses, ranges = drive()
+    poses[at:, 0] += far
+    (told,) = notes(stamps, poses, ranges)
+    length = np.hypot(*np.diff(poses[at - 1 : at + 1, :2], axis=0)[0])
+    assert told.startswith(f"the pose jumps by {length:.2f} m at {stamps[at]:.2f} s, faster than any robot")
+
+
+@pytest.mark.parametrize("unit", [100.0, 1000.0])
+def test_poses_in_other_units_are_told_once(unit):
+    stamps, poses, ranges = drive()
+    rng = np.random.default_rng(3)
+    poses[:, :2] = np.cumsum(0.05 + 0 * rng.random((400, 2)), axis=0)
+    (told,) = notes(stamps, poses * [unit, unit, 1], ranges)
+    assert "are the poses in mm or cm" in told
+
+
+@given(st.integers(1, 398), st.integers(1, STAYS - 1))
+def test_a_glitch_is_left_out_and_told(at, length):
+    stamps, poses, ranges = drive()
+    poses[at : at + length, 1] += 20_000.0
+    told = notes(stamps, poses, ranges)
+    left = len(poses[at : at + length])
+    assert told == {"a scan left out: its pose is where no robot can have got to": left}
+
+
+def test_a_place_at_which_the_robot_stays_is_taken():
+    where = Whereabouts()
+    taken = [where.takes(0.1 * i, 2 * GLITCH_M * (i > 4), 0.0) for i in range(60)]
+    assert taken == [True] * 5 + [False] * STAYS + [True] * (55 - STAYS)
+
+
+def test_speeds_are_those_of_the_steps_that_are_no_jumps():
+    track = np.array(
+        [[0.0, 0, 0, 0], [1.0, 0.5, 0, 0.3], [2.0, 0.5, 2.0, -0.2], [2.1, 50.0, 0, 0], [3.1, 50.0, 1, 0]]
+    )
+    found = speeds(track)
+    np.testing.assert_array_equal(found.far, [False, False, True, False])
+    assert found.fastest_m_s == pytest.approx(2.0)
+    assert found.fastest_rad_s == pytest.approx(0.5)
+
+
+def test_a_log_of_frames_tells_its_doubts_when_it_was_gone_through():
+    stamps, poses, ranges = drive()
+    poses[200:, 0] += 30.0
+    log = Log.of(map(Frame, stamps.tolist(), poses, ranges))
+    assert log.notes == {}
+    for _ in range(2):
+        assert len(list(log)) == 400
+        assert [note.split(" by ")[0] for note in log.notes] == ["the pose jumps"]
+
+
+def test_few_frames_are_not_doubted():
+    for ranges in ([nan, nan], [inf, inf], [0.001, 0.002]):
+        assert notes(np.array([0.0]), np.zeros((1, 3)), np.array([ranges])) == {}
+
+
+def test_every_doubt_is_on_the_page_about_maps_that_look_wrong():
+    page = (Path(__file__).parents[1] / "docs" / "how-to" / "when-a-map-looks-wrong.md").read_text(encoding="utf-8")
+    stamps, poses, ranges = drive()
+    jumped, glitch, sped = poses.copy(), poses.copy(), poses.copy()
+    jumped[200:, 0] += 30.0
+    glitch[200, 0] += 20_000.0
+    sped[:, 0] = 50.0 * np.arange(400)
+    faults = [
+        (poses, np.full_like(ranges, inf)),
+        (poses, 100 * ranges),
+        (poses, ranges / 1000),
+        (poses, np.where(np.isinf(ranges), MAX_M - 0.1, np.minimum(ranges, MAX_M - 0.1))),
+        (poses * [1, 1, 180 / np.pi], ranges),
+        (poses * [0, 0, 180 / np.pi] + np.arange(400)[:, None] * [0, 0, 2.0], ranges),
+        *((each, ranges) for each in (jumped, glitch, sped)),
+    ]
+    for faulty_poses, faulty_ranges in faults:
+        (told,) = notes(stamps, faulty_poses, faulty_ranges)
+        words = [re.escape(word) for word in re.split(r"[\d.]+(?:e\+?\d+)?", told.split(":")[0]) if len(word) > 6]
+        assert any(re.search(word, page) for word in words), told
