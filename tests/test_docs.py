@@ -13,7 +13,8 @@ import pytest
 import tyro
 import yaml
 
-from echogrid.cli import COMMANDS, main
+from echogrid.cli import main
+from echogrid.cli.commands import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from echogrid.errors import InputError
-from echogrid.frame import Frame, Log, Track
+from echogrid.frame import Frame, Log
 from echogrid.logs.contents import describe
 
 
@@ -96,16 +96,3 @@ def test_the_tallies_agree_with_the_whole_array(rows, copies):
         later = np.isfinite(ranges[1:])
         repeated = (ranges[1:] == ranges[:-1]) & later
         assert info.stale == pytest.approx(repeated.sum() / max(later.sum(), 1))
-
-
-def test_a_long_drive_is_kept_to_few_points_from_its_first_to_its_last():
-    track = Track()
-    assert track.points().shape == (0, 2)
-    for i in range(20_000):
-        track.add(Frame(i, np.array([0.1 * i, 1.0, 0.0]), np.zeros(1)))
-        track.add(Frame(i, np.array([0.1 * i + 0.001, 1.0, 2.0]), np.zeros(1)))  # it stands and turns
-    points = track.points()
-    assert 1500 < len(points) <= 4000
-    np.testing.assert_array_equal(points[0], [0, 1])
-    assert points[-1, 0] > 1995
-    assert np.all(np.diff(points[:, 0]) > 0.02)

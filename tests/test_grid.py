@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from echogrid.errors import UsageError
-from echogrid.grid import P_MAX, P_MIN, Grid, GrowingGrid, covered, logit, sigmoid, span
+from echogrid.grid import MAX_CELLS, P_MAX, P_MIN, Grid, GrowingGrid, covered, logit, sigmoid, span
 
 resolutions = st.sampled_from([0.05, 0.1, 0.12, 0.25, 1.0])
 origins = st.tuples(st.floats(-50, 50), st.floats(-50, 50))
@@ -269,3 +269,48 @@ def test_the_cells_that_a_disc_covers_are_those_whose_centre_it_holds(seed, radi
         distance = np.hypot(poses[:, 0] - x, poses[:, 1] - y)
         if np.all(np.abs(distance - radius) > 1e-9):
             assert near[row, col] == np.any(distance < radius)
+
+
+@pytest.mark.parametrize("begin", [(), ((0, 0), (5, 4))])
+def test_room_that_is_refused_leaves_the_map_as_it_was(begin):
+    grown = GrowingGrid(0.5)
+    if begin:
+        grown.reserve(*map(np.array, begin))
+        grown.fuse(np.array([1, 1]), np.ones((2, 2), np.float32), np.ones((2, 2), bool))
+    before = grown.grid()
+    far = np.array([10**7, -(10**7)]), np.array([10**7 + 5, -(10**7) + 4])
+    for taking in (grown.reserve, grown.check_room) if begin else ():
+        with pytest.raises(UsageError, match=r"^map: found a drive that spans 5e\+06 x 5e\+06 m at 0.5 m a cell"):
+            taking(*far)
+    huge = np.array([0, 0]), np.array([10**5, 10**5])
+    for taking in (grown.reserve, grown.check_room):
+        with pytest.raises(UsageError, match=r"^map: found a drive that spans 50\d\d\d x 50\d\d\d m"):
+            taking(*huge)
+    after = grown.grid()
+    assert (after.shape, after.origin) == (before.shape, before.origin)
+    np.testing.assert_array_equal(after.log_odds, before.log_odds)
+    grown.reserve(np.array([-1, 0]), np.array([3, 3]))
+    assert grown.grid().shape == ((6, 4) if begin else (4, 3))
+    assert grown.grid().log_odds.sum() == (4 if begin else 0)
+
+
+def test_room_is_found_for_all_that_can_be_reserved_part_by_part():
+    """At the very edge of what a map may hold: what was checked as a whole is never refused in parts."""
+    side = int(MAX_CELLS**0.5)
+    refused = 0
+    for size in (side - 1000, side - 128, side - 100, side - 60, side - 1, side, side + 1):
+        grown = GrowingGrid(1.0)
+        low, high = np.zeros(2, np.int64), np.array([size, size])
+        try:
+            grown.check_room(low, high)
+        except UsageError:
+            refused += 1
+            continue
+        middle = np.array([size // 2, size // 2])
+        for part in ((middle, middle + 5), (low, low + 1), (high - 1, high)):
+            bounds = grown._bounds(*part)
+            grown._first, grown._layers = (
+                bounds[0],
+                {"log_odds": np.broadcast_to(np.float32(0), bounds[1] - bounds[0])},
+            )
+    assert 0 < refused < 7

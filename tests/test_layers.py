@@ -12,20 +12,21 @@ PACKAGE = Path(echogrid.__file__).parent
 
 # The rooms along the way of the data. A room imports only from rooms before it, a module only from modules before it.
 PLAN = {
-    "": "errors geometry files yaml_keys robot doubts frame grid metrics",
+    "": "errors geometry temporary files packed npz yaml_keys limits robot doubts frame track grid metrics",
     "simulation": "regions targets world beam_patterns acoustics rooms drive echo simulate",
     "ros": "rigid transforms sonars gathering messages",
-    "bags": "ros1_stream message_types bag_file events topics survey mounts reading_plan reader",
-    "logs": "lines rows csv_log carmen formats contents",
+    "bags": "unpacking ros1_stream message_types bag_file events topics clocks survey units floor mounts "
+    "reading_plan reader",
+    "logs": "lines rows csv_header csv_log carmen formats contents",
     "models": "batches model",
     "models.classical": "beam sweep log_odds calculi forward_model",
     "models.networks": "weights memory set_layers polar_map set_network local_map paper_network",
-    "mapping": "registry mapper build",
+    "mapping": "registry intake mapper build",
     "training": "drives gradient_descent paper_examples paper_training set_lessons set_training",
-    "output": "follower map_picture scan_picture map_server_file map_file mcap_file recording page rerun_file "
+    "output": "folder follower map_picture scan_picture map_server_file map_file mcap_file recording page rerun_file "
     "rerun_server",
     "live": "sonar_array hearing live_map session sockets dds_types dds",
-    "cli": "arguments info maps simulation live",
+    "cli": "ending arguments info maps simulation live commands",
 }
 ORDER = [f"{room}.{name}".strip(".") for room, names in PLAN.items() for name in [*names.split(), ""] if room or name]
 

@@ -1,4 +1,5 @@
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -213,7 +214,7 @@ def test_bytes_that_are_no_text_and_a_folder_are_one_line(tmp_path):
     path = put(tmp_path, b"\x93NUMPY\xff\xfe\x00")
     with pytest.raises(InputError, match=f"^{re.escape(str(path))}: found bytes that are not UTF-8 text, expected"):
         Robot.load(path)
-    with pytest.raises(InputError, match=f"^{re.escape(str(tmp_path))}: found a directory, expected"):
+    with pytest.raises(InputError, match=f"^{re.escape(str(tmp_path))}: found a folder, expected"):
         Robot.load(tmp_path)
 
 
@@ -276,13 +277,21 @@ def test_ranges_are_cleaned_by_the_no_echo_rule(ranges):
     robot = parse_robot(GOOD, "r")
     clean = robot.clean(ranges)
     for before, after in zip(ranges, clean, strict=True):
-        if np.isnan(before) or before < 0.15:
+        if np.isnan(before) or before < 0.15 * (1 - 1e-6):
             assert np.isnan(after)
-        elif before >= 5.0:
+        elif before >= 5.0 * (1 - 1e-6):
             assert after == np.inf
         else:
             assert after == before
     np.testing.assert_array_equal(robot.clean(clean), clean)
+    np.testing.assert_array_equal([robot.clean_one(value) for value in ranges.tolist()], clean)
+
+
+@given(st.floats(0.01, 90), st.floats(0.01, 90))
+def test_a_limit_that_was_rounded_to_single_precision_is_the_limit(low, span):
+    robot = replace(parse_robot(GOOD, "r"), min_range_m=low, max_range_m=low + span)
+    single = np.array([low, low + span], np.float32).astype(float)
+    np.testing.assert_array_equal(robot.clean(single), [single[0], np.inf])
 
 
 def test_the_limits_themselves_are_a_reading_and_no_echo():

@@ -8,17 +8,21 @@ for grid in build_map(load_log("drive.csv", robot), robot):
 occupied = grid.probability() > 0.65
 """
 
-from importlib import import_module, metadata
-from typing import TYPE_CHECKING
+from importlib import import_module
 
-__version__ = metadata.version("echogrid")
-
+TYPE_CHECKING = False  # as of typing, whose import would be a good part of the start of the command
 if TYPE_CHECKING:
+    __version__: str
+
     from echogrid.errors import EchogridError
     from echogrid.frame import Frame, Log
     from echogrid.grid import Grid
     from echogrid.logs.formats import load_log
     from echogrid.mapping.build import build_map
+    from echogrid.mapping.mapper import Mapper
+    from echogrid.mapping.registry import sensor_model
+    from echogrid.metrics import score
+    from echogrid.output.map_file import read_map, read_truth, write_map
     from echogrid.robot import Robot
     from echogrid.simulation.world import World
 
@@ -27,13 +31,38 @@ _HOME = {
     "Frame": "frame",
     "Grid": "grid",
     "Log": "frame",
+    "Mapper": "mapping.mapper",
     "Robot": "robot",
     "World": "simulation.world",
     "build_map": "mapping.build",
     "load_log": "logs.formats",
+    "read_map": "output.map_file",
+    "read_truth": "output.map_file",
+    "score": "metrics",
+    "sensor_model": "mapping.registry",
+    "write_map": "output.map_file",
 }
 
-__all__ = ["EchogridError", "Frame", "Grid", "Log", "Robot", "World", "build_map", "load_log"]
+__all__ = [
+    "EchogridError",
+    "Frame",
+    "Grid",
+    "Log",
+    "Mapper",
+    "Robot",
+    "World",
+    "build_map",
+    "load_log",
+    "read_map",
+    "read_truth",
+    "score",
+    "sensor_model",
+    "write_map",
+]
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
 
 
 def __getattr__(name: str) -> object:
@@ -42,4 +71,6 @@ def __getattr__(name: str) -> object:
         return import_module("echogrid.live.dds_types")
     if name in _HOME:
         return getattr(import_module(f"echogrid.{_HOME[name]}"), name)
+    if name == "__version__":
+        return import_module("importlib.metadata").version("echogrid")
     raise AttributeError(f"module 'echogrid' has no attribute {name!r}")

@@ -1,11 +1,16 @@
 """The errors that echogrid raises on purpose; all share one root."""
 
 
+def escaped(text: str) -> str:
+    """The text on one line that a terminal can show: what controls a terminal is written as Python writes it."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
 class EchogridError(Exception):
     """Root of every error that a user of echogrid can cause. Its text is one line that a terminal can show."""
 
     def __init__(self, text: str):
-        super().__init__("".join(c if c.isprintable() else repr(c)[1:-1] for c in text))
+        super().__init__(escaped(text))
 
 
 class InputError(EchogridError):

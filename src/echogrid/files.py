@@ -1,12 +1,12 @@
 """Files: written whole or not at all, read only where they are plain ones, and how messages name them."""
 
 import os
-import secrets
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from echogrid.errors import InputError, UsageError
+from echogrid.temporary import beside
 
 
 @contextmanager
@@ -20,20 +20,40 @@ def replacing(path: str | Path) -> Generator[Path]:
         UsageError: something other than a file stands at ``path``, or the system refuses to write (an
             ``OSError`` of the block counts as that too).
     """
+    target = place_of(path)
+    try:
+        with beside(target) as temporary:
+            yield temporary
+            temporary.replace(target)
+    except OSError as error:
+        raise unwritable(path, error.strerror or str(error)) from error
+
+
+def place_of(path: str | Path) -> Path:
+    """Where a path leads, once it is known that a file may be put there.
+
+    Raises:
+        UsageError: something other than a file stands there.
+    """
     target = Path(os.path.realpath(path))
     if os.path.exists(target) and not os.path.isfile(target):
         # A rename would put a plain file in the place of a device such as /dev/null.
         raise unwritable(path, "a folder" if os.path.isdir(target) else "something that is not a plain file")
-    temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}{target.suffix}")
+    return target
+
+
+def check_writable(path: str | Path) -> None:
+    """Make sure that ``replacing`` will do, before there is much work for it; all stays as it is.
+
+    Raises:
+        UsageError: as ``replacing``.
+    """
+    target = place_of(path)
     try:
-        temporary.touch(exist_ok=False)
-        yield temporary
-        temporary.replace(target)
+        with beside(target):
+            pass
     except OSError as error:
         raise unwritable(path, error.strerror or str(error)) from error
-    finally:
-        with suppress(OSError):  # it was renamed or never made
-            temporary.unlink()
 
 
 def unwritable(path: str | Path, found: str, expected: str = "a file that can be written") -> UsageError:
@@ -82,6 +102,18 @@ def read_bytes(path: Path, expected: str, limit: int) -> bytes:
         return plain_file(path, expected, limit).read_bytes()
     except OSError as error:
         raise InputError(path, error.strerror or str(error), expected) from None
+
+
+MAX_TEXT_BYTES = 1_000_000
+"""Of a robot, a world or waypoints."""
+
+
+def read_text(path: Path, expected: str) -> str:
+    """The text of a short file (UTF-8); errors as of ``read_bytes``."""
+    try:
+        return read_bytes(path, expected, MAX_TEXT_BYTES).decode("utf-8")
+    except UnicodeDecodeError:
+        raise InputError(path, "bytes that are not UTF-8 text", expected) from None
 
 
 def printable(path: Path) -> str:

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
-from math import hypot
 
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +10,9 @@ from numpy import ndarray
 
 from echogrid.doubts import Judge
 from echogrid.errors import EchogridError, InputError
+from echogrid.limits import as_reals
 from echogrid.robot import Robot
+from echogrid.yaml_keys import shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,29 +35,17 @@ class Frame:
     """Where each sonar was when it fired, as seen from ``pose``: m, m, rad. None: all fired at the stamp, from
     the robot's own mounts."""
 
-
-class Track:
-    """A drive of any length, kept to a bounded number of points."""
-
-    _MOST, _SPACING_M = 4000, 0.02
-
-    def __init__(self) -> None:
-        self._points: list[tuple[float, float]] = []
-        self._spacing = self._SPACING_M
-
-    def add(self, frame: Frame) -> None:
-        """Go on to a frame's pose."""
-        x, y = float(frame.pose[0]), float(frame.pose[1])
-        if self._points and hypot(x - self._points[-1][0], y - self._points[-1][1]) < self._spacing:
-            return
-        self._points.append((x, y))
-        if len(self._points) > self._MOST:
-            self._points = self._points[::2]
-            self._spacing *= 2
-
-    def points(self) -> Float[ndarray, "n 2"]:
-        """x, y of the points, m, world."""
-        return np.array(self._points).reshape(-1, 2)
+    def __repr__(self) -> str:
+        # It is shown in errors as well, so it may hold anything.
+        pose, ranges = as_reals(self.pose), as_reals(self.ranges)
+        place = shown(self.pose) if pose is None else shown(np.round(pose, 3).tolist())
+        told = shown(self.ranges)
+        if ranges is not None:
+            echoes = ranges[np.isfinite(ranges)]
+            span = f" from {echoes.min():.3g} to {echoes.max():.3g} m" if echoes.size else ""
+            told = f"{ranges.size}, {echoes.size} echoes{span}, {np.isposinf(ranges).sum()} without echo"
+        moved = "" if self.mounts is None else ", mounts of its own"
+        return " ".join(f"Frame(stamp={shown(self.stamp)}, pose={place}, ranges: {told}{moved})".split())
 
 
 @dataclass(frozen=True)
@@ -82,6 +71,9 @@ class Log:
     def __iter__(self) -> Iterator[Frame]:
         """Go through the frames; at their end the notes are those of this time."""
         return self.open() if self.judges else _judged(self.open(), Judge(self.robot), self.notes)
+
+    def __repr__(self) -> str:
+        return f"Log({self.name!r}, {self.sonars} sonars, robot {self.robot and self.robot.name!r})"
 
     @staticmethod
     def of(frames: Iterable[Frame], name: str = "frames") -> "Log":

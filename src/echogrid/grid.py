@@ -50,6 +50,12 @@ class Grid:
     views: Int[ndarray, "rows cols"] | None = None
     """Scans that spoke of each cell, where they were counted."""
 
+    def __repr__(self) -> str:
+        rows, cols = np.shape(self.log_odds)
+        x, y = self.origin
+        share = f"{np.mean(self.observed):.0%}" if rows * cols else "none"
+        return f"Grid({rows} x {cols} cells of {self.resolution:g} m from ({x:g}, {y:g}) m, {share} observed)"
+
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
@@ -199,29 +205,42 @@ class GrowingGrid:
         """Make room for the cells ``low <= [row, col] < high``, counted from the world's origin.
 
         Raises:
-            UsageError: the map would pass MAX_CELLS.
+            UsageError: the map would pass MAX_CELLS; it is as it was.
         """
-        self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
+        first, last = self._bounds(low, high)
         size = self._layers["log_odds"].shape
-        last = self._first + size
-        if np.all(size) and np.all(low >= self._first) and np.all(high <= last):
-            return
-        if not np.all(size):
-            self._first, last = np.asarray(low), np.asarray(high)
-        grown_first = np.where(low < self._first, low - self._MARGIN, self._first)
-        grown_last = np.where(high > last, high + self._MARGIN, last)
-        rows, cols = (int(n) for n in grown_last - grown_first)
-        if float(rows) * float(cols) > MAX_CELLS:
-            span = (self._high - self._low) * self.resolution
+        if np.any(first != self._first) or np.any(last != self._first + size):
+            rows, cols = (int(n) for n in last - first)
+            grown = self._blank_cells((rows, cols))
+            if np.all(size):
+                old = tuple(slice(o, o + n) for o, n in zip(self._first - first, size, strict=True))
+                for name, layer in self._layers.items():
+                    grown[name][old] = layer
+            self._first, self._layers = first, grown
+        self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
+
+    def check_room(self, low: Int[ndarray, "2"], high: Int[ndarray, "2"]) -> None:
+        """Raise what ``reserve`` of these cells, be it part by part, would raise; nothing is reserved."""
+        margin = 0 if self._layers["log_odds"].size else self._MARGIN
+        self._bounds(low - margin, high + margin)
+
+    def _bounds(self, low: Int[ndarray, "2"], high: Int[ndarray, "2"]) -> tuple[Int[ndarray, "2"], Int[ndarray, "2"]]:
+        """First cell, and that behind the last, of a map that also holds ``low <= [row, col] < high``."""
+        size = self._layers["log_odds"].shape
+        if np.all(size):
+            first, last = self._first, self._first + size
+            first = np.where(low < first, low - self._MARGIN, first)
+            last = np.where(high > last, high + self._MARGIN, last)
+        else:
+            first, last = np.asarray(low), np.asarray(high)
+        rows, cols = (float(n) for n in last - first)
+        if rows * cols > MAX_CELLS:
+            span = (np.maximum(self._high, high) - np.minimum(self._low, low)) * self.resolution
             raise UsageError(
                 f"map: found a drive that spans {span[1]:.6g} x {span[0]:.6g} m at {self.resolution} m a cell, "
                 f"expected at most {MAX_CELLS:.0e} cells (a broken pose, or a coarser --resolution is needed)"
             )
-        old = tuple(slice(o, o + n) for o, n in zip(self._first - grown_first, size, strict=True))
-        grown = self._blank_cells((rows, cols))
-        for name, layer in self._layers.items():
-            grown[name][old] = layer
-        self._first, self._layers = grown_first, grown
+        return first, last
 
     def window(self, corner: Int[ndarray, "2"], shape: tuple[int, int]) -> Layers:
         """The layers of a rectangle of cells, as views to read and to write.

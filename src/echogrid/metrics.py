@@ -51,6 +51,15 @@ class Truth:
     origin: tuple[float, float]
     """World x, y of the lower left corner of cell [0, 0], m."""
 
+    def __repr__(self) -> str:
+        rows, cols = np.shape(self.cells)
+        x, y = self.origin
+        counts = ", ".join(
+            f"{np.sum(self.cells == kind)} {name}"
+            for kind, name in ((SURFACE, "surface"), (FREE, "free"), (HIDDEN, "hidden"))
+        )
+        return f"Truth({rows} x {cols} cells of {self.resolution:g} m from ({x:g}, {y:g}) m: {counts})"
+
 
 @dataclass(frozen=True)
 class PathScore:

@@ -1,5 +1,6 @@
 """Robots and their transducers: what they are, and the YAML files that describe them."""
 
+import os
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -11,9 +12,13 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.errors import InputError, UsageError
+from echogrid.files import read_text
 from echogrid.yaml_keys import Keys, parse_yaml, shown
 
 MAX_SONARS = 512
+
+_SINGLE = 1 - 1e-6
+"""A limit in single precision is at least this share of the limit."""
 
 
 @dataclass(frozen=True)
@@ -59,15 +64,23 @@ class Robot:
         return len(self.mounts)
 
     def clean(self, ranges: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
-        """Apply the no-echo rule: at or past the maximum range -> +inf, below the minimum range -> nan."""
-        ranges = np.where(ranges >= self.max_range_m, np.inf, ranges)
-        return np.where(ranges < self.min_range_m, np.nan, ranges)
+        """Apply the no-echo rule: at or past the maximum range -> +inf, below the minimum range -> nan.
+
+        A reading may have been of single precision. What is clean already stays as it is.
+        """
+        ranges = np.where(ranges >= self.max_range_m * _SINGLE, np.inf, ranges)
+        return np.where(ranges < self.min_range_m * _SINGLE, np.nan, ranges)
 
     def clean_one(self, range_m: float) -> float:
-        """``clean`` for a single reading, which may have been of single precision."""
-        if range_m >= self.max_range_m * (1 - 1e-6):
+        """``clean`` for a single reading."""
+        if range_m >= self.max_range_m * _SINGLE:
             return np.inf
-        return np.nan if range_m < self.min_range_m * (1 - 1e-6) else range_m
+        return np.nan if range_m < self.min_range_m * _SINGLE else range_m
+
+    def __repr__(self) -> str:
+        beam = np.rad2deg(self.beam_width_rad)
+        limits = f"{self.min_range_m:g} to {self.max_range_m:g} m"
+        return f"Robot({self.name!r}, {self.sonars} sonars of {limits}, beam {beam:.3g} deg)"
 
     @staticmethod
     def load(name_or_file: str | Path) -> "Robot":
@@ -82,17 +95,9 @@ class Robot:
             source = resources.files("echogrid") / "robots" / f"{name_or_file}.yaml"
             return parse_robot(source.read_text(encoding="utf-8"), str(name_or_file))
         path = Path(name_or_file)
-        if path.is_dir():
-            raise InputError(path, "a directory", "a robot file (YAML)")
-        try:
-            text = path.read_text(encoding="utf-8")
-        except FileNotFoundError:
-            known = ", ".join(presets)
-            raise UsageError(f"robot: found {name_or_file!s}, expected a file or one of {known}") from None
-        except UnicodeDecodeError:
-            raise InputError(path, "bytes that are not UTF-8 text", "a robot file (YAML)") from None
-        except OSError as error:
-            raise InputError(path, error.strerror or "an unreadable file", "a robot file (YAML)") from None
+        if not os.path.lexists(path):
+            raise UsageError(f"robot: found {name_or_file!s}, expected a file or one of {', '.join(presets)}")
+        text = read_text(path, "a robot file (YAML)")
         return parse_robot(text, str(path))
 
 

@@ -3,6 +3,8 @@
 import re
 import reprlib
 from collections.abc import Mapping
+from itertools import chain
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,10 @@ def parse_yaml(text: str, where: str) -> dict[Any, Any]:
         InputError: not YAML, or not such a mapping; the message carries the line.
     """
     try:
+        refuse_bomb(text, where)
         data = yaml.safe_load(text)
+    except InputError:
+        raise
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark else ""
@@ -31,6 +36,36 @@ def parse_yaml(text: str, where: str) -> dict[Any, Any]:
     if not isinstance(data, dict):
         raise InputError(where, shown(data), "a mapping of keys to values")
     return data
+
+
+MAX_NODES = 200_000
+"""Values that a file may hold, those counted again that it names again (``*name``, ``<<``)."""
+
+_LONGEST_NUMBER = 400
+"""Characters of a number: to make out one of many takes long."""
+
+
+def refuse_bomb(text: str, where: str) -> None:
+    """Refuse YAML that becomes far more than is written, before it does.
+
+    Raises:
+        InputError: it becomes more than MAX_NODES values, or has a number of far too many digits.
+        yaml.YAMLError: it is no YAML, where that had to be found out.
+    """
+    if "*" in text and (node := yaml.compose(text, yaml.SafeLoader)) is not None and _weight(node, {}) > MAX_NODES:
+        raise InputError(where, f"anchors that become more than {MAX_NODES} values", "YAML that holds what it says")
+    if re.search(rf"[\d:_.]{{{_LONGEST_NUMBER}}}", text):
+        raise InputError(where, f"a number of more than {_LONGEST_NUMBER} characters", "numbers")
+
+
+def _weight(node: yaml.Node, known: dict[int, float]) -> float:
+    """How many values a node becomes; one that holds itself becomes any number."""
+    if id(node) not in known:
+        known[id(node)] = inf
+        children = node.value if isinstance(node, yaml.CollectionNode) else ()
+        parts = chain.from_iterable(children) if isinstance(node, yaml.MappingNode) else children
+        known[id(node)] = 1 + sum(_weight(each, known) for each in parts)
+    return known[id(node)]
 
 
 class Keys:

@@ -13,7 +13,7 @@ import pytest
 
 from commands import GOOD, MAP, SAMPLE, SIMULATE, SOURCE, arrays, everything, put, rows, scores
 from echogrid import __version__
-from echogrid.cli import COMMANDS
+from echogrid.cli.commands import COMMANDS
 from echogrid.frame import Frame
 from echogrid.mapping.registry import MODELS
 from echogrid.simulation.world import world_names

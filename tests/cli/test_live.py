@@ -249,7 +249,7 @@ def test_a_kill_leaves_the_last_save_whole(session):
         ([], {"ROS_DOMAIN_ID": "x"}, "ROS_DOMAIN_ID: found x, expected 0 to 232"),
         (["--local-side", "nan"], {}, "--local-side: found nan, expected 1 to 40 m"),
         (["--save-every", "0"], {}, "--save-every: found 0, expected 1 to 86400 s"),
-        (["--half-life", "0"], {}, "--half-life: found 0, expected 0.1 to 1e7 s"),
+        (["--half-life", "0"], {}, "--half-life: found 0, expected 0.1 to 1e+07 s"),
         (["--interpreter", "cone"], {}, "--interpreter: found cone, expected set-network or a file of its weights"),
         (["--interface", "wlan77"], {}, "live: found no interface 'wlan77', expected any or one of "),
         (["--map-topic", "map"], {}, "live: found the topic 'map', expected a name such as /sonar/front"),

@@ -1,11 +1,15 @@
 """What is wrong is one line, and leaves everything as it was."""
 
+import os
 import re
+import socket
+import time
 
 import numpy as np
 import pytest
 
 from commands import GOOD, LOG, MAP, ROBOT, SAMPLE, SIMULATE, TRUTH, WORLD, assert_refused, everything, put, rows
+from log_samples import peak_of
 
 BAD_LOGS: dict[str, tuple[str | bytes, str]] = {
     "cut in half": (LOG[: len(LOG) // 2], "drive.csv:3: found "),
@@ -22,7 +26,7 @@ BAD_LOGS: dict[str, tuple[str | bytes, str]] = {
     "range below zero": (rows(GOOD, "1,0,0,0,-1,1"), "drive.csv:3: found r0 = -1.0"),
     "blank line": (rows(GOOD, "", "1,0,0,0,1,1"), "drive.csv:3: found a blank line"),
     "no rows": (rows(), "drive.csv: found a header and no rows"),
-    "wrong header": ("t,x,y,theta,r1,r2\n" + GOOD, "drive.csv:1: found 'r1'"),
+    "wrong header": ("t,x,y,theta,r1,r2\n" + GOOD, "drive.csv:1: found 'r2'"),
     "no header": (GOOD + "\n", "drive.csv:1: found '0,0,0,0,1,1'"),
     "empty": ("", "drive.csv: found an empty file"),
     "binary": (b"\x89PNG\r\n\x1a\n\0\0\0", "drive.csv:1: found "),
@@ -73,7 +77,7 @@ BAD_ROBOTS = {
     "world": ("box.yaml", "box.yaml: walls: found an unknown key"),
     "binary": ("binary", "binary: found "),
     "key": ("key.yaml", "key.yaml: mounts: found "),
-    "long": ("x" * 300, "x"),
+    "long": ("x" * 300, "robot: found x"),
 }
 
 ROBOT_COMMANDS = {
@@ -122,8 +126,8 @@ BAD_CALLS: list[tuple[list[str], str]] = [
     (["simulate", "mars", *SIMULATE[2:]], "world: found mars, expected a file or one of corridor, "),
     (["simulate", "folder", *SIMULATE[2:]], "folder: found "),
     (["simulate", "duo.yaml", *SIMULATE[2:]], "duo.yaml: footprint_radius_m: found an unknown key"),
-    ([*SIMULATE, "--drive", "missing.txt"], "missing.txt: found No such file"),
-    ([*SIMULATE, "--drive", "folder"], "folder: found Is a directory"),
+    ([*SIMULATE, "--drive", "missing.txt"], "missing.txt: found no such file"),
+    ([*SIMULATE, "--drive", "folder"], "folder: found a folder"),
     ([*SIMULATE, "--drive", "drive.csv"], "drive.csv:1: found "),
     ([*SIMULATE, "--drive", "one.txt"], "one.txt: found "),
     ([*SIMULATE, "--drive", "nan.txt"], "nan.txt:2: found '1,nan'"),
@@ -228,3 +232,98 @@ def test_a_call_that_cannot_be_understood_is_explained_on_stderr(run, place, arg
     assert "Traceback" not in err
     assert "--help" in err
     assert everything(place) == before
+
+
+ANCHORS = "\n".join(
+    ["a0: &a0 {k: 1}", *(f"a{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * 9)}]}}" for n in range(1, 9))]
+)
+
+OPENING = {
+    "map": ["map", "ODD", "--robot", "duo.yaml", "--out", "out"],
+    "map --robot": ["map", "drive.csv", "--robot", "ODD", "--out", "out"],
+    "map --interpreter": [*MAP, "--interpreter", "ODD"],
+    "live --interpreter": ["live", "--interpreter", "ODD", "--out", "out"],
+    "info": ["info", "ODD"],
+    "info --robot": ["info", "drive.csv", "--robot", "ODD"],
+    "simulate": ["simulate", "ODD", *SIMULATE[2:]],
+    "simulate --robot": ["simulate", "box.yaml", "--robot", "ODD", "--out", "old.csv"],
+    "simulate --drive": [*SIMULATE, "--drive", "ODD"],
+    "scan": ["scan", "ODD", *SCAN[2:]],
+    "train --robot": ["train", "--robot", "ODD", "--drives", "1", "--epochs", "1", "--out", "old.npz"],
+    "score MAP": ["score", "ODD", str(TRUTH)],
+    "score TRUTH": ["score", "ODD.npz", "ODD"],
+}
+"""Everything that opens a path of the user's."""
+
+AT_ONCE_S = 20.0
+"""Most of it is the import of JAX, in the first test."""
+
+
+@pytest.mark.parametrize("name", ["pipe", "pipe.bag", "pipe.yaml", "/dev/zero", "socket"])
+@pytest.mark.parametrize("args", OPENING.values(), ids=OPENING)
+def test_a_pipe_and_a_device_are_refused_at_once(run, place, args, name):
+    if name.startswith("pipe"):
+        os.mkfifo(name)
+    if name == "socket":
+        with socket.socket(socket.AF_UNIX) as made:
+            made.bind(name)
+    np.savez("ODD.npz", log_odds=np.zeros((2, 3)), observed=np.ones((2, 3), bool), resolution=0.1, origin=[0.0, 0.0])
+    before = sorted(path.name for path in place.iterdir())
+    begin = time.monotonic()
+    status, out, err = run(*(name if arg == "ODD" else arg for arg in args))
+    assert time.monotonic() - begin < AT_ONCE_S
+    assert (status, out) == (2, "")
+    assert re.fullmatch(
+        rf"echogrid: {name}: found (something that is not a plain file|a pipe or a device), .*\n", err
+    )
+    assert sorted(path.name for path in place.iterdir()) == before
+
+
+@pytest.mark.parametrize("args", [OPENING["map --robot"], OPENING["simulate"], OPENING["score MAP"]], ids=str)
+@pytest.mark.parametrize("bomb", [ANCHORS, ANCHORS.replace("<<", "k"), "1" * 500, "a: " + "1:" * 400_000 + "1"])
+def test_yaml_that_becomes_far_more_than_it_is_is_refused_at_once(run, place, args, bomb):
+    put(place / "bomb.yaml", bomb)
+    begin = time.monotonic()
+    err = assert_refused(run, place, *("bomb.yaml" if arg == "ODD" else arg for arg in args))
+    assert time.monotonic() - begin < AT_ONCE_S
+    assert err.startswith("echogrid: bomb.yaml: found ")
+    assert "anchors that become" in err or "a number of more than" in err
+
+
+def npz_of(path, length, **arrays):
+    """An archive with zeros besides; they become a thousandth when they are packed."""
+    np.savez_compressed(path, zeros=np.zeros(length, dtype=np.uint8), **arrays)
+
+
+@pytest.mark.parametrize(
+    "args",
+    [OPENING["map --interpreter"], OPENING["score MAP"], OPENING["score TRUTH"]],
+    ids=["weights", "map", "truth"],
+)
+def test_an_archive_that_becomes_far_longer_is_refused_in_little_memory(run, place, args):
+    log_odds, observed = np.zeros((2, 3)), np.ones((2, 3), bool)
+    np.savez("ODD.npz", log_odds=log_odds, observed=observed, resolution=0.1, origin=[0.0, 0.0])
+    npz_of(place / "bomb.npz", 400_000_000, log_odds=log_odds, observed=observed, resolution=0.1, origin=[0.0, 0.0])
+    assert (place / "bomb.npz").stat().st_size < 1e6
+
+    def refuse():
+        err = assert_refused(run, place, *("bomb.npz" if arg == "ODD" else arg for arg in args))
+        assert "bomb.npz: found an archive that becomes 4.0e+08 bytes when unpacked" in err
+
+    assert peak_of(refuse) < 1e8
+
+
+def test_weights_of_a_width_that_no_memory_holds_are_refused(run, place):
+    np.savez_compressed(place / "wide.npz", format="echogrid-set-1", recipe="{}", b1=np.zeros(10**6, np.float32))
+    assert peak_of(lambda: assert_refused(run, place, *MAP, "--interpreter", "wide.npz")) < 3e8
+
+
+def test_anchors_that_say_what_they_mean_are_read(run, place):
+    put(
+        place / "box.yaml",
+        WORLD.replace("closed: true", "closed: &yes true").replace("0.05", "&rough 0.05")
+        + "".join(
+            f"  - {{points: [[1, {y}], [1.2, {y}]], closed: *yes, roughness_mm: *rough}}\n" for y in (0.5, 0.8)
+        ),
+    )
+    assert run(*SIMULATE)[0] == 0

@@ -6,7 +6,11 @@ import pytest
 from echogrid.live.hearing import Heard
 from echogrid.live.live_map import MAX_CELLS, Settings
 from echogrid.live.session import Live
+from echogrid.mapping.mapper import Mapper
+from echogrid.robot import Robot
 from live_drive import MOUNTS, NETWORK, START_S, Drive, tf, transform
+
+P3DX = Robot.load("p3dx")
 
 
 def test_the_map_comes_once_a_second_if_it_changed_and_the_local_map_after_each_scan(drive):
@@ -37,6 +41,19 @@ def test_a_pose_far_off_does_not_make_the_map_grow(drive):
     assert drive.live.refused == {"a pose so far off that the map would become too large": 1}
     poses = np.array([frame.pose[:2] for frame in drive.frames])
     assert np.prod((np.ptp(poses, axis=0) + 8) / 0.04) < MAX_CELLS
+
+
+def test_a_scan_that_cannot_be_mapped_is_counted_and_the_rest_goes_on(drive, monkeypatch):
+    drive.run(40)
+    before = drive.live.scans
+    with monkeypatch.context() as patch:
+        patch.setattr(drive.mapper, "add", Mapper(P3DX, "cone").add)  # to which no scan of four sonars fits
+        drive.run(5)
+    assert drive.live.scans == before
+    ((reason, count),) = drive.live.refused.items()
+    assert (reason, count >= 4) == ("a scan whose stamp, pose or mounts cannot be", True)
+    drive.run(5)
+    assert drive.live.scans > before
 
 
 def test_the_map_is_kept_when_a_sonar_joins():

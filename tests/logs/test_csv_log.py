@@ -1,3 +1,4 @@
+import gzip
 from collections.abc import Iterator
 from math import inf, nan
 
@@ -8,6 +9,7 @@ from hypothesis import strategies as st
 
 from echogrid.errors import InputError, UsageError
 from echogrid.frame import Frame
+from echogrid.logs import csv_log
 from echogrid.logs.contents import describe
 from echogrid.logs.csv_log import write_csv
 from echogrid.logs.formats import load_log
@@ -45,6 +47,119 @@ def test_csv_is_read_the_same_however_it_is_written(tmp_path, variant):
     frames = list(load_log(put(tmp_path, variant, "variant.csv")))
     assert len(frames) == len(plain)
     assert all(same(a, b) for a, b in zip(frames, plain, strict=True))
+
+
+DIALECTS = {
+    "semicolons": CSV.replace(b",", b";"),
+    "semicolons and decimal commas": CSV.replace(b",", b";").replace(b".", b","),
+    "tabs": CSV.replace(b",", b"\t"),
+    "tabs and decimal commas": CSV.replace(b",", b"\t").replace(b".", b","),
+    "blanks": CSV.replace(b",,", b",nan,").replace(b",", b"  "),
+    "comments": CSV.replace(b"\n", b"\n# the battery was low\n") + b"#\n",
+    "comments first": b"# made on Monday\n#\n" + CSV,
+    "a header that is a comment, as numpy writes it": b"# " + CSV,
+    "the same with blanks": b"# " + CSV.replace(b",,", b",nan,").replace(b",", b" "),
+    "the ranges first": b"r1,r0,theta,y,x,t\ninf,1.5,0.5,2,1,0\n2.5,,0.5,2,1.25,0.5\n",
+    "the time last, with semicolons": b"x;y;theta;r0;r1;t\n1;2;0.5;1.5;inf;0\n1.25;2;0.5;;2.5;0.5\n",
+}
+
+
+@pytest.mark.parametrize("content", DIALECTS.values(), ids=DIALECTS)
+def test_tables_of_other_programs_are_read_where_they_are_plain(tmp_path, content):
+    plain = list(load_log(put(tmp_path, CSV)))
+    log = load_log(put(tmp_path, content, "other.csv"))
+    assert log.sonars == 2
+    for _ in range(2):
+        assert all(same(a, b) for a, b in zip(log, plain, strict=True))
+
+
+def test_odometry_may_stand_anywhere(tmp_path):
+    log = load_log(put(tmp_path, "odom_theta,t,x,r0,y,odom_x,theta,odom_y\n6,0,1,0.5,2,4,3,5\n"))
+    assert same(next(iter(log)), Frame(0.0, np.array([1.0, 2, 3]), np.array([0.5]), np.array([4.0, 5, 6])))
+
+
+@many
+@given(st.data())
+def test_any_dialect_and_order_gives_the_same_frames(tmp_path, data):
+    table = [
+        ["t", "x", "y", "theta", "r0", "r1"],
+        *([repr(0.1 * i), "1.5", repr(-0.25 * i), "0.5", repr(1.0 + i % 5), "inf"] for i in range(300)),
+    ]
+    order = data.draw(st.permutations(range(6)))
+    separator = data.draw(st.sampled_from([",", ";", "\t", " "]))
+    decimal = data.draw(st.sampled_from([".", "," if separator != "," else "."]))
+    text = [separator.join(row[i].replace(".", decimal) for i in order) for row in table]
+    for at in sorted(data.draw(st.lists(st.integers(0, 300), max_size=4)), reverse=True):
+        text.insert(at, "# a comment")
+    frames = list(load_log(put(tmp_path, "\n".join([*text, ""]), "other.csv")))
+    plain = list(load_log(put(tmp_path, "\n".join(",".join(row) for row in table) + "\n")))
+    assert all(same(a, b) for a, b in zip(frames, plain, strict=True))
+
+
+@pytest.mark.parametrize("line", [3, 5, 257, 300, 601])
+def test_the_line_is_right_with_comments_and_another_order(tmp_path, line):
+    lines = [f"{i};0;0;0;1;{i % 90}" for i in range(1, 601)]
+    lines.insert(1, "# a comment")
+    if line != 3:
+        lines[line - 2] = f"{line};0;0;0;far;1"
+    path = put(tmp_path, "\n".join(["t;x;y;theta;r1;r0", *lines, ""]))
+    frames, error = drain(load_log(path))
+    if line == 3:
+        assert (len(frames), error) == (600, None)
+        return
+    assert error is not None
+    assert (error.where, error.found) == (f"{path}:{line}", "r1 = 'far'")
+    assert len(frames) == line - 3
+
+
+def test_points_and_commas_in_one_table_are_no_numbers(tmp_path):
+    for comment in ("", "# so that the row is the first of its batch\n"):
+        path = put(tmp_path, f"t;x;y;theta;r0\n0;0;0;0;1,5\n{comment}1;0;0;0;1.5\n")
+        frames, error = drain(load_log(path))
+        assert error is not None
+        assert error.where == f"{path}:{4 if comment else 3}"
+        assert error.found == "numbers with a point and numbers with a comma"
+        assert len(frames) == 1
+
+
+@pytest.mark.parametrize(
+    ("header", "hint"),
+    [
+        ("time,x,y,yaw,r0", "'t' (call it t if it is in s)"),
+        ("t,x,y,yaw,r0", "'theta' (call it theta if it is in rad)"),
+        ("t;x;y;theta_deg;r0", "'theta' (call it theta if it is in rad)"),
+        (",t,x,y,theta,r0", "(pandas: to_csv(..., index=False))"),
+        ("t,x,y,theta,r0,battery", "and nothing else)"),
+        ("t,x,y,theta", "'r0'"),
+    ],
+)
+def test_a_header_that_is_nearly_right_says_what_to_do(tmp_path, header, hint):
+    with pytest.raises(InputError) as caught:
+        load_log(put(tmp_path, header + "\n0,0,0,0,1\n"))
+    assert caught.value.expected.endswith(hint)
+    assert_plain(caught.value)
+
+
+@pytest.mark.parametrize("content", [CSV, b"# a comment\n" + CSV.replace(b",", b";")])
+def test_a_compressed_log_is_read(tmp_path, content):
+    plain = list(load_log(put(tmp_path, CSV)))
+    log = load_log(put(tmp_path, gzip.compress(content), "drive.csv.gz"))
+    for _ in range(2):
+        assert all(same(a, b) for a, b in zip(log, plain, strict=True))
+
+
+@pytest.mark.parametrize("line", ["", "#"])
+@pytest.mark.parametrize("start", ["t,x,y,theta,r0", "t,x,y,theta,r0\n0,0,0,0,1"])
+def test_a_file_of_next_to_nothing_is_not_read_to_its_end(tmp_path, line, start, monkeypatch):
+    monkeypatch.setattr(csv_log, "MAX_EMPTY", 1000)
+    for count, fits in ((1000, True), (1001, False)):
+        path = put(tmp_path, gzip.compress((start + "\n" + (line + "\n") * count).encode()))
+        if start.endswith("r0"):
+            with pytest.raises(InputError, match="no rows"):
+                load_log(path)
+        else:
+            frames, error = drain(load_log(path))
+            assert (len(frames), error is None) == (1, fits)
 
 
 def test_the_limits_of_the_robot_are_applied(tmp_path):

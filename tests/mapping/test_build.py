@@ -78,9 +78,8 @@ def test_the_map_is_shown_after_each_batch(count, steps):
 @pytest.mark.parametrize("lengths", [(3,), (5,), (4, 4, 0), (*[4] * BATCH, 24)])
 def test_frames_that_do_not_fit_the_robot_are_refused_in_one_line(lengths):
     frames = [frame(0, 0, 0, np.full(n, inf)) for n in lengths]
-    with pytest.raises(
-        UsageError, match=rf"^map: found a frame of {lengths[-1]} readings, expected 4 \(robot point\)$"
-    ):
+    where = rf"^map: frame {len(lengths) - 1} \(stamp 0.0 s\)"
+    with pytest.raises(UsageError, match=rf"{where}: found {lengths[-1]} readings, expected 4 \(robot point\)$"):
         list(build_map(frames, POINT_LIKE, Visits()))
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.ndimage import maximum_filter
+from scipy.spatial import KDTree
 
 from echogrid.grid import Grid
 from echogrid.output.map_file import write_map
@@ -64,3 +65,19 @@ def test_a_picture_of_any_shape_any_title_and_any_path_is_drawn(tmp_path, shape)
     path = np.array([[np.nan, 0.0], [0.0, 0.0]])
     pixels = picture(tmp_path, grid, path, r"$\frac{$ 東京 %s {} " + "long" * 50)
     assert min(pixels.shape[:2]) > 300
+
+
+def test_a_drive_of_two_hours_is_drawn_where_it_went(tmp_path):
+    # Round and round through a corridor about a block that no straight line may cross.
+    s = np.arange(72_000) * 0.05
+    side, along = np.divmod(s % 40.0, 10.0)
+    x = np.select([side == 0, side == 1, side == 2], [along, 10.0, 10.0 - along], 0.0)
+    y = np.select([side == 0, side == 1, side == 2], [0.0, along, 10.0], 10.0 - along)
+    grid = one_wall(0, 0, 140, 140, 0.1)
+    path = np.column_stack([x, y])
+    whole = picture(tmp_path, Grid(grid.log_odds, grid.observed, 0.1, (-2.0, -2.0)), path)
+    once = picture(tmp_path, Grid(grid.log_odds, grid.observed, 0.1, (-2.0, -2.0)), path[:801])
+    map_part = np.s_[: whole.shape[0] * 3 // 4]
+    drawn, expected = (near_colour(pixels[map_part], BLUE) for pixels in (whole, once))
+    # Lines that lie on each other have darker edges.
+    assert max(KDTree(expected).query(drawn)[0].max(), KDTree(drawn).query(expected)[0].max()) < 2.5

@@ -245,9 +245,9 @@ def test_fewer_than_two_waypoints_are_no_drive(tmp_path, content, count):
 
 
 def test_waypoints_that_cannot_be_read_are_one_line(tmp_path):
-    with pytest.raises(InputError, match=r"missing.csv: found No such file or directory, expected"):
+    with pytest.raises(InputError, match=r"missing.csv: found no such file, expected"):
         read_waypoints(tmp_path / "missing.csv")
-    with pytest.raises(InputError, match=r": found Is a directory, expected"):
+    with pytest.raises(InputError, match=r": found a folder, expected"):
         read_waypoints(tmp_path)
     with pytest.raises(InputError, match=r": found bytes that are not UTF-8 text, expected"):
         read_waypoints(put(tmp_path, b"\xff\xfe1,2"))

@@ -306,7 +306,7 @@ def test_bytes_that_are_no_text_and_a_folder_and_no_file_are_one_line(tmp_path):
     path = put(tmp_path, b"\x93NUMPY\xff\xfe\x00")
     with pytest.raises(InputError, match=f"^{re.escape(str(path))}: found bytes that are not UTF-8 text, expected"):
         World.load(path)
-    with pytest.raises(InputError, match=f"^{re.escape(str(tmp_path))}: found Is a directory, expected"):
+    with pytest.raises(InputError, match=f"^{re.escape(str(tmp_path))}: found a folder, expected"):
         World.load(tmp_path)
     with pytest.raises(UsageError, match=r"^world: found atlantis, expected a file or one of .*sample"):
         World.load("atlantis")

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Collection, Generator, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,14 +10,13 @@ from rosbags.rosbag2 import Reader
 
 from echogrid.bags.message_types import Types
 from echogrid.bags.ros1_stream import StreamedBag
+from echogrid.bags.unpacking import METADATA, as_they_were, bound, head_of, let_go, unpacked_bag
 from echogrid.errors import EchogridError, InputError
 from echogrid.files import printable
+from echogrid.packed import TooLongError, compression_of
 
 MAGIC = {b"#ROSBAG V": ".bag", b"\x89MCAP0\r\n": ".mcap", b"SQLite format 3\0": ".db3"}
 """How the files begin, and how their names must end."""
-
-_METADATA = "metadata.yaml"
-"""What the folder of a ROS 2 bag holds beside the files with the messages."""
 
 _MENDS = {
     ".bag": "; rosbag reindex may mend it",
@@ -33,7 +32,7 @@ _FOREIGN = ("jsonschema", "protobuf", "ros1msg", "flatbuffer")
 def recognises(path: Path) -> bool:
     """Whether there is a bag: a file that begins or ends like one, or a folder with the metadata or files of one."""
     if os.path.isdir(path):
-        return os.path.isfile(path / _METADATA) or bool(_files(path))
+        return os.path.isfile(path / METADATA) or bool(_files(path))
     return _ending(path) is not None or (path.suffix in MAGIC.values() and os.path.isfile(path))
 
 
@@ -46,11 +45,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _ending(path: Path) -> str | None:
-    try:
-        with path.open("rb") as file:
-            head = file.read(16)
-    except (OSError, ValueError):  # a name that cannot be is told by whoever takes it for a text
-        return None
+    head = head_of(path)
     return next((ending for magic, ending in MAGIC.items() if head.startswith(magic)), None)
 
 
@@ -88,35 +83,45 @@ class BagFile:
         """Open a .bag, .mcap or .db3 file, or the folder of a ROS 2 bag."""
         self.name = printable(path)
         ending = None if path.is_dir() else _ending(path)
-        if ending and path.suffix != ending:
+        if ending and path.suffix != ending and not compression_of(path):
             found = f"a bag that begins like {ending} and ends in {path.suffix or 'nothing'}"
             raise InputError(self.name, found, f"{ending} at the end of its name")
         files = _files(path) if path.is_dir() else [path]
-        if path.is_dir() and not (path / _METADATA).is_file():
+        if path.is_dir() and not (path / METADATA).is_file():
             names = ", ".join(printable(each) for each in files[:6])
-            raise InputError(self.name, f"a folder without {_METADATA}", f"one, or a file alone: {names}")
+            raise InputError(self.name, f"a folder without {METADATA}", f"one, or a file alone: {names}")
         if path.is_file() and ending is None:
             found = "a file that does not begin like a bag" if path.stat().st_size else "an empty file"
             raise InputError(self.name, found, f"a {path.suffix} file as it was recorded")
         ros1 = ending == ".bag"
         self._mend = next((_MENDS[each.suffix] for each in files if each.suffix in _MENDS), "")
-        with self._damage():
-            self._reader = StreamedBag(path) if ros1 else Reader(path)
+        self._ros1 = ros1
+        with ExitStack() as stack, self._damage():
+            bag = unpacked_bag(path, ending or "", stack)
+            self._reader = StreamedBag(bag) if ros1 else Reader(bag)
             self._reader.open()
+            stack.callback(self._reader.close)
+            let_go(bag, path)
+            if isinstance(self._reader, Reader):
+                bound(self._reader)
             self._connections = list(self._reader.connections)
+            self._open = stack.pop_all()
         self._types = Types(self.name, ros1)
 
     def __enter__(self) -> "BagFile":
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._reader.close()
+        self._open.close()
 
     @contextmanager
     def _damage(self) -> Generator[None]:
         # The libraries below let out errors of many kinds for files that are cut off or overwritten.
         try:
             yield
+        except TooLongError as error:
+            found, expected = f"a bag with {error}", "one that does not grow so much when it is unpacked"
+            raise InputError(self.name, found, expected) from None
         except (EchogridError, PermissionError):
             raise
         except Exception as error:
@@ -145,7 +150,8 @@ class BagFile:
             return
         with self._damage():
             decoders = {(each.id, each.topic): self._types.decoder(each) for each in wanted}
-            for connection, time, data in self._reader.messages(wanted):
+            messages = self._reader.messages(wanted)
+            for connection, time, data in messages if self._ros1 else as_they_were(messages):
                 kind = connection.msgtype
                 content = decoders[connection.id, connection.topic](data, kind)
                 yield Message(connection.topic, kind, time * 1e-9, content)

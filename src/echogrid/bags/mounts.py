@@ -1,5 +1,6 @@
 """Where the sonars of a bag sit, as its transforms tell, and the robot that they make."""
 
+from collections.abc import Mapping
 from math import degrees
 
 import numpy as np
@@ -33,11 +34,7 @@ def placed(survey: Survey, sonars: list[Sonar], base: str) -> tuple[list[Sonar],
         heard.mount, heard.amiss = _mount(survey.transforms, base, sonar, heard)
         other = frames.setdefault(sonar.frame, sonar)
         if other != sonar and heard.mount is not None:
-            raise InputError(
-                survey.name,
-                f"{other.topic} and {sonar.topic} in one frame, {sonar.frame}",
-                "a frame for each sonar, or --robot with their places in the order of the topics",
-            )
+            raise _one_frame(survey.name, sonars, other, sonar)
         if heard.amiss:
             amiss.setdefault(heard.amiss, []).append(sonar)
     found = [sonar for sonar in sonars if survey.heard[sonar].mount is not None]
@@ -48,6 +45,23 @@ def placed(survey: Survey, sonars: list[Sonar], base: str) -> tuple[list[Sonar],
             "tf, or --robot with the places of the sonars",
         )
     return found, {f"{few(left)} left out: {reason}": 0 for reason, left in amiss.items()}
+
+
+def _one_frame(name: str, sonars: list[Sonar], first: Sonar, second: Sonar) -> InputError:
+    """Two topics in one frame: one sonar twice, as raw and filtered, or sonars without frames of their own."""
+    together: dict[str, list[str]] = {}
+    for sonar in sonars:
+        together.setdefault(sonar.frame, []).append(sonar.topic)
+    twice = [topics for topics in together.values() if len(topics) > 1]
+    either = [few(topics) for topics in zip(*twice, strict=False)]
+    choice = (
+        f"--topics with one of {', '.join(either[:3])} where they are one sonar's, or " if len(either) < 4 else ""
+    )
+    return InputError(
+        name,
+        f"{first.topic} and {second.topic} in one frame, {first.frame}",
+        f"{choice}a frame for each sonar, or --robot with their places in the order of the topics",
+    )
 
 
 def _mount(
@@ -72,9 +86,11 @@ def turned(first: Float[ndarray, "3"], last: Float[ndarray, "3"]) -> bool:
     return bool(max(apart[:2]) > _TURNED_M or _TURNED_RAD < apart[2] < 2 * np.pi - _TURNED_RAD)
 
 
-def described(survey: Survey, sonars: list[Sonar], base: str) -> tuple[Robot, dict[str, int]]:
+def described(
+    survey: Survey, sonars: list[Sonar], base: str, scales: Mapping[Sonar, float]
+) -> tuple[Robot, dict[str, int]]:
     """The robot whose frame is ``base``, from what is told of its sonars, which have mounts; a note if a beam width
-    had to be assumed.
+    had to be assumed. ``scales``: by what the limits of some are to be divided.
     """
     told = [survey.heard[sonar] for sonar in sonars]
     widths = [width for heard in told if (width := beam_width(heard.field_of_view)) is not None]
@@ -86,4 +102,5 @@ def described(survey: Survey, sonars: list[Sonar], base: str) -> tuple[Robot, di
         field = f"field_of_view {survey.heard[odd].field_of_view:g} of {odd}{more}"
         notes[f"{field}: no beam width, {width:.0f} degrees taken"] = 0
     mounts = np.array([heard.mount for heard in told], dtype=float)
-    return robot_of(base, mounts, widths, [heard.limits for heard in told]), notes
+    limits = [tuple(limit / scales.get(sonar, 1.0) for limit in survey.heard[sonar].limits) for sonar in sonars]
+    return robot_of(base, mounts, widths, [(low, high) for low, high in limits]), notes

@@ -81,7 +81,8 @@ def _frames(path: Path, plan: Plan, notes: dict[str, int]) -> Iterator[Frame]:
         known = transforms.known(plan.fixed, plan.base)
         poses = "none" if known is None else f"{known[0]:.1f} to {known[1]:.1f} s"
         found = f"no reading at a time of a pose (last reading {scans.newest:.1f} s, poses {poses})"
-        raise InputError(bag.name, found, "stamps of one clock")
+        because = next(iter(_in_turn(plan, transforms)), "")
+        raise InputError(bag.name, because or found, "one parent" if because else "stamps of one clock")
     if not valid:
         found = "no valid reading of any sonar: all are 0 m, nan or below min_range"
         raise InputError(bag.name, found, "ranges in m, or +inf where there is no echo")
@@ -91,11 +92,15 @@ def _gathered(
     bag: BagFile, plan: Plan, transforms: Transforms, scans: Scans, refused: Counter[str]
 ) -> Iterator[Frame]:
     """The frames that the messages of a bag become, through its transforms and scans; counts what is refused."""
-    numbers, robot = plan.numbers, plan.robot
+    numbers, robot, fixes, scales = plan.numbers, plan.robot, plan.fixes, plan.scales
 
     def take(sonar: tuple[str, str], stamp: float, range_m: float, low: float, high: float) -> None:
         number = numbers.get(sonar)
+        if scales and number in scales:
+            low, high = low / scales[number], high / scales[number]
         if number is None:
+            if sonar in plan.left_out:
+                return
             refused["a reading of a sonar without a place, or that was not heard in the beginning"] += 1
         elif scans.add(number, stamp, robot.clean_one(reading(range_m, low, high))) == BACK:
             found = f"a clock that jumps back by more than {BACK_S:g} s at {stamp:.3f} s"
@@ -104,14 +109,16 @@ def _gathered(
     for topic, kind, received, content in bag.messages(plan.topics):
         if kind == RANGE:  # nearly all of them
             stamp, frame, _, low, high, range_m = content
+            if fixes and (fix := fixes.get((topic, frame))):
+                stamp = fix.of(stamp, received)
             if stamp or received < BEGIN_S or topic in plan.unstamped:
                 take((topic, frame), stamp or received, range_m, low, high)
             else:
                 refused[NO_STAMP] += 1
         else:
-            message = Message(topic, kind, received, content)
+            message, fix = Message(topic, kind, received, content), fixes.get((topic, ""))
             for sonar, stamp, range_m, _, limits in events(message, transforms, robot, refused, plan.unstamped):
-                take(sonar, stamp, range_m, *limits)
+                take(sonar, fix.of(stamp, received) if fix else stamp, range_m, *limits)
         if scans.pending:
             yield from scans.frames()
     yield from scans.frames(reach=_LAST_S, final=True)
@@ -119,7 +126,7 @@ def _gathered(
 
 def _changes(plan: Plan, transforms: Transforms, end: float) -> dict[str, int]:
     """What turned out otherwise after the beginning of a bag than it was taken to be."""
-    notes: dict[str, int] = {}
+    notes = _in_turn(plan, transforms)
     later = fixed_of(transforms, plan.base)
     if plan.free and later is not None and later != plan.fixed:
         notes[f"mapped in {plan.fixed}; {later} came later, --fixed-frame {later} maps in it"] = 0
@@ -128,3 +135,14 @@ def _changes(plan: Plan, transforms: Transforms, end: float) -> dict[str, int]:
         if isinstance(now, np.ndarray) and turned(now, plan.robot.mounts[number]):
             notes[f"{frame} moved on the robot, but is taken to sit where it did in the beginning"] = 0
     return notes
+
+
+def _in_turn(plan: Plan, transforms: Transforms) -> dict[str, int]:
+    """Notes on the frames of the robot, and above it, that have two parents in turn."""
+    frames = {name for frame in (plan.base, *plan.frames.values()) for name in transforms.line(frame)}
+    return {
+        f"{child} is told in two frames in turn, {one} and {other}, and known in neither for long: stop one of those"
+        " who publish it (two localisers, or a driver beside one)": count
+        for child, (one, other, count) in transforms.in_turn.items()
+        if child in frames
+    }

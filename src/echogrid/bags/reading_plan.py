@@ -3,13 +3,17 @@
 from dataclasses import dataclass
 
 from echogrid.bags.bag_file import Topic
+from echogrid.bags.clocks import Fix, Judgement, Source
+from echogrid.bags.clocks import judged as judged_clocks
+from echogrid.bags.floor import without_floor
 from echogrid.bags.mounts import described, placed
 from echogrid.bags.survey import Survey
+from echogrid.bags.units import units
 from echogrid.errors import InputError
 from echogrid.robot import Robot, preset_names
 from echogrid.ros.messages import ODOMETRY, RANGE, TF, TF_OLD, Sonar, few, short
 from echogrid.ros.sonars import base_of, fixed_of
-from echogrid.ros.transforms import Transforms
+from echogrid.ros.transforms import Transforms, stands_still
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,13 @@ class Plan:
     transforms: Transforms
     """Of the survey; those that are static hold throughout."""
     unstamped: frozenset[str]
-    """Topics whose messages never say a time: theirs is when they were recorded."""
+    """Topics whose messages never say a time, or poses none that can be: theirs is when they were recorded."""
+    fixes: dict[Source, Fix]
+    """What makes good stamps of those of sonars whose clock is not that of the poses."""
+    scales: dict[int, float]
+    """By what the limits in the messages of some sonars are to be divided, by their numbers."""
+    left_out: frozenset[Sonar]
+    """What is known beforehand not to be used, though it has a place."""
     frames: dict[int, str]
     """The frame of each sonar whose mount the bag tells, by its number."""
     free: bool
@@ -51,26 +61,36 @@ def planned(survey: Survey) -> Plan:
     fixed = _fixed(survey, base)
     odometry = _odometry(survey, base, fixed)
     survey.base, survey.fixed = base, fixed
+    judged = units(survey, sonars)
     if survey.robot is None:
-        sonars, left_out = placed(survey, sonars, base)
-        robot, assumed = described(survey, sonars, base)
-        notes, frames = left_out | assumed, dict(enumerate(sonar.frame for sonar in sonars))
+        sonars, unplaced = placed(survey, sonars, base)
+        level, floored = without_floor(survey, [each for each in sonars if each not in judged.left_out], base)
+        unused = frozenset(sonars).difference(level)
+        sonars = level
+        robot, assumed = described(survey, sonars, base, judged.scales)
+        notes, frames = unplaced | floored | assumed, dict(enumerate(sonar.frame for sonar in sonars))
     else:
+        unused = frozenset(judged.left_out)
         robot, notes, frames = survey.robot, {}, {}
         if len(sonars) != robot.sonars:
             found = f"{len(sonars)} sonars ({few(sonars)})"
             raise InputError(survey.name, found, f"{robot.sonars}, as robot {robot.name} has")
+    clocks = _clocks(survey, sonars, odometry)
+    numbers = {sonar: number for number, sonar in enumerate(sonars) if sonar not in unused}
     return Plan(
         robot=robot,
-        numbers={sonar: number for number, sonar in enumerate(sonars)},
+        numbers=numbers,
         topics=frozenset(topic.name for topic in (*survey.read.sonars, *odometry, *survey.read.tf)),
         base=base,
         fixed=fixed,
         transforms=survey.transforms,
-        unstamped=survey.unstamped,
+        unstamped=survey.unstamped | clocks.recorded,
+        fixes=clocks.fixes,
+        scales={numbers[sonar]: scale for sonar, scale in judged.scales.items() if sonar in numbers},
+        left_out=unused,
         frames=frames,
         free=survey.choice.fixed is None,
-        notes=notes | _zeros(survey, sonars),
+        notes=notes | _zeros(survey, sonars) | clocks.notes | judged.notes,
     )
 
 
@@ -149,10 +169,34 @@ def _odometry(survey: Survey, base: str, fixed: str) -> list[Topic]:
     above = line[: line.index(fixed)] if fixed in line else []
     weak = [child for child in above if survey.transforms.is_weak(child)]
     topics = {topic for child in weak for topic in survey.posing.get(child, ())}
+    # Else it is of frames that hang on the robot's.
+    topics = topics or {
+        topic
+        for frame, those in survey.posing.items()
+        for topic in those
+        if any(not survey.transforms.moves(child, frame) for child in weak)
+    }
     if len(topics) > 1:
         found = f"the pose of {base} in {len(topics)} topics"
         raise InputError(survey.name, found, f"--topics with one of {few(sorted(topics))}")
-    return survey.read.odometry if weak else []
+    return [topic for topic in survey.read.odometry if topic.name in topics]
+
+
+def _clocks(survey: Survey, sonars: list[Sonar], odometry: list[Topic]) -> Judgement:
+    """What the clocks of the sonars are beside that of the robot's pose."""
+    transforms, topics = survey.transforms, {topic.name for topic in odometry}
+    line = transforms.line(survey.base)
+    above = line[: line.index(survey.fixed)] if survey.fixed in line else line
+    moving = (name for name in above if not stands_still(name) and name in transforms.children())
+    child = next((name for name in moving if transforms.moves(name, transforms.line(name)[1])), survey.base)
+    tf = {topic.name for topic in survey.read.tf}
+    poses = [
+        source
+        for source in survey.clocks.sources()
+        if source[0] in topics or (source[0] in tf and source[1] == child)
+    ]
+    said = {(sonar.topic, sonar.frame if survey.read.sonars[0].type == RANGE else "") for sonar in sonars}
+    return judged_clocks(survey.clocks, sorted(said), poses, survey.unstamped)
 
 
 def _zeros(survey: Survey, sonars: list[Sonar]) -> dict[str, int]:

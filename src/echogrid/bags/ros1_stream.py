@@ -8,14 +8,13 @@ from struct import Struct
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader, ReaderError
 
+from echogrid.bags.unpacking import MAX_CHUNK, chunk_of_ros1
+
 _SIZE = Struct("<L").unpack_from
 _TIME = Struct("<LL").unpack_from
 
 _MESSAGE = 2
 """Operation code of a record with a message."""
-
-MAX_CHUNK = 512 * 2**20
-"""A longer chunk (bytes) is a broken one."""
 
 
 class StreamedBag(Reader):
@@ -69,7 +68,7 @@ class StreamedBag(Reader):
         if file is None or chunk.datasize > MAX_CHUNK:
             raise ReaderError("a chunk that is too long")
         file.seek(chunk.datapos)
-        data = chunk.decompressor(file.read(chunk.datasize))
+        data = chunk_of_ros1(file.read(chunk.datasize), chunk.decompressor)
         place, end = 0, len(data)
         while place < end:
             head = place + 4

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf, nan
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.bags.bag_file import BagFile, Message
+from echogrid.bags.clocks import Clocks, Samples
 from echogrid.bags.events import BEGIN_S, Event, events, stamp_of
 from echogrid.bags.topics import choose
 from echogrid.errors import InputError
@@ -30,6 +31,14 @@ class Heard:
     no_echo: int = 0
     zeros: int = 0
     """Readings of 0."""
+    finite: int = 0
+    """Ranges that are positive numbers."""
+    past: int = 0
+    """Of these, at or past the maximum of their message, if it says one."""
+    below: int = 0
+    """Of these, below the minimum."""
+    ranges: Samples[float] = field(default_factory=Samples)
+    """Some of them, m."""
     first: float = nan
     """Stamp of the first reading, s."""
     last: float = nan
@@ -50,6 +59,12 @@ class Heard:
         self.last = event.stamp
         self.no_echo += reading(event.range_m, *event.limits) == inf
         self.zeros += event.range_m == 0
+        if 0 < event.range_m < inf:
+            low, high = event.limits
+            self.finite += 1
+            self.past += 0 < high <= event.range_m
+            self.below += event.range_m < low
+            self.ranges.add(event.range_m)
 
     @property
     def rate(self) -> float:
@@ -74,6 +89,7 @@ class Survey:
         """
         self.robot, self.choice, self.transforms = robot, choice, Transforms()
         self.heard: dict[Sonar, Heard] = {}
+        self.clocks = Clocks()
         self.base = self.fixed = ""
         """The frame of the robot, and the one to map in, once they are found."""
         self.posing: dict[str, set[str]] = {}
@@ -99,6 +115,7 @@ class Survey:
 
     def _take(self, message: Message) -> None:
         self._seen.add(message.topic)
+        self.clocks.hear(message)
         if message.topic not in self._stamped and (stamp_of(message) or message.received < BEGIN_S):
             self._stamped.add(message.topic)
         if message.type == ODOMETRY:

@@ -1,17 +1,21 @@
 """What several commands take: a log with its robot, a world, physics, a seed; and their progress bar."""
 
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, fields
 from importlib import resources
+from pathlib import Path
 from typing import Annotated
 
 from tqdm import tqdm
 from tyro.conf import arg
 
-from echogrid.errors import UsageError
+from echogrid.errors import UsageError, escaped
 from echogrid.frame import Log
+from echogrid.limits import HALF_LIFE, RESOLUTION
 from echogrid.logs.formats import load_log
+from echogrid.output.folder import drop_stale
+from echogrid.packed import compression_of
 from echogrid.robot import Robot, preset_names
 from echogrid.ros.messages import Choice
 from echogrid.simulation.acoustics import Physics
@@ -52,14 +56,23 @@ def open_log(log_file: str | None, robot_name: str | None, choice: Choice | None
     if log.sonars != robot.sonars:
         fits = [name for name in preset_names() if Robot.load(name).sonars == log.sonars]
         known = f" (presets with {log.sonars}: {', '.join(fits)})" if fits else ""
-        raise UsageError(f"{log.name}: found {log.sonars} sonars, expected --robot to say where they sit{known}")
+        packed = f" (unpacked by {kind})" if (kind := compression_of(Path(log_file))) else ""
+        raise UsageError(
+            f"{log.name}: found {log.sonars} sonars{packed}, expected --robot to say where they sit{known}"
+        )
     return load_log(log_file, robot), robot, False
 
 
 def print_notes(log: Log) -> None:
     """Say what was left out of a log, or assumed."""
     for what, count in log.notes.items():
-        print(f"note: {what}" + (f" ({count} times)" if count else ""), file=sys.stderr)
+        print(f"note: {escaped(what)}" + (f" ({count} times)" if count else ""), file=sys.stderr)
+
+
+def drop(folder: Path, besides: Collection[str] = (), log: str | None = None) -> None:
+    """Remove what shows an older map than the one that a folder now holds, and say so."""
+    if removed := drop_stale(folder, besides, log):
+        print(escaped(f"note: removed {', '.join(removed)} of an older map from {folder}"), file=sys.stderr)
 
 
 def bar[T](items: Iterable[T], what: str, unit: str, total: int | None = None) -> Iterator[T]:
@@ -90,10 +103,10 @@ def check_physics(physics: Physics) -> None:
 
 def check_map(resolution: float | None, half_life: float | None) -> None:
     """Refuse cells (m) and half-lives (s) that no map can have."""
-    if resolution is not None and not 0.005 <= resolution <= 10:
-        raise UsageError(f"--resolution: found {resolution:g}, expected 0.005 to 10 m")
-    if half_life is not None and not 0.1 <= half_life <= 1e7:
-        raise UsageError(f"--half-life: found {half_life:g}, expected 0.1 to 1e7 s")
+    if resolution is not None:
+        RESOLUTION.check(resolution, "--resolution")
+    if half_life is not None:
+        HALF_LIFE.check(half_life, "--half-life")
 
 
 def check_seed(seed: int) -> None:

@@ -8,11 +8,14 @@ import numpy as np
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from echogrid.bags import reader as bag
+from echogrid.bags.clocks import apart
 from echogrid.bags.survey import Survey
 from echogrid.cli.arguments import Ros, print_notes
+from echogrid.errors import escaped
 from echogrid.logs.contents import LogInfo, describe
 from echogrid.logs.formats import load_log
 from echogrid.robot import Robot
+from echogrid.ros.messages import few
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ def _print_bag(survey: Survey) -> None:
     """What is in a bag: its topics, and each sonar with what the bag says of it."""
     print("topic                            messages  type")
     for topic in survey.topics:
-        print(f"{topic.name:32} {topic.messages:8}  {topic.type}")
+        print(escaped(f"{topic.name:32} {topic.messages:8}  {topic.type}"))
     print(
         "\nsonar (topic, frame)                       rate   x, y, axis on the robot     beam   limits      no echo"
     )
@@ -53,14 +56,17 @@ def _print_bag(survey: Survey) -> None:
         low, high = heard.limits
         beam = f"{np.rad2deg(heard.field_of_view):4.0f} deg"
         limits = f"{low:.2f}-{high:.2f} m"
-        name = f"{sonar.topic} {sonar.frame}"
+        name = escaped(f"{sonar.topic} {sonar.frame}")
         print(f"{name:40} {heard.rate:5.1f} Hz  {place:25} {beam}  {limits:11} {heard.no_echo / heard.readings:6.1%}")
-    print(f"\nposes         of {survey.base} in {survey.fixed}\n")
+    print("\n" + escaped(f"poses         of {survey.base} in {survey.fixed}"))
+    for off, topics in apart(survey.clocks.offsets()).items():
+        print(escaped(f"clocks        {few(topics)}: {off} the time of recording"))
+    print()
 
 
 def _print_contents(info: LogInfo) -> None:
     x0, y0, x1, y1 = info.box_m
-    print(f"log           {info.name}")
+    print(escaped(f"log           {info.name}"))
     print(f"frames        {info.frames}")
     print(f"sonars        {info.sonars}")
     rate = f", {(info.frames - 1) / info.span_s:.1f} Hz" if info.span_s > 0 else ""

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, arg
 
-from echogrid.cli.arguments import Ros, check_map
-from echogrid.errors import EchogridError, UsageError
+from echogrid.cli.arguments import Ros, check_map, drop
+from echogrid.errors import EchogridError, UsageError, escaped
 from echogrid.files import made
+from echogrid.output.folder import check_folder
 
 if TYPE_CHECKING:
     from echogrid.live.dds import Network
@@ -39,7 +40,7 @@ class Live:
 
     Publishes /map (nav_msgs/OccupancyGrid, kept for those who come later) once a second if it changed, and
     /local_map, the part round the robot, after each scan. Saves the map like echogrid map, each minute and when it is
-    stopped (Ctrl-C, SIGTERM), which is its ordinary end: exit status 0, or 2 if nothing was mapped.
+    stopped (Ctrl-C, SIGTERM, SIGHUP), which is its ordinary end: exit status 0, or 2 if nothing was mapped.
 
     It listens on loopback only, unless you name an interface: nobody on a DDS network has to prove who they are.
     """
@@ -87,13 +88,14 @@ class Live:
         choice = self.ros.choice()
         mapping = Mapping(model, Settings(choice, self.resolution, self.half_life, self.local_side))
         with made(self.out), stopped() as stop:
+            check_folder(self.out)
             interface = self._interface()
             network = Network(domain, interface, choice, self.map_topic, self.local_map_topic)
             _say(f"domain {domain}, {self._where(interface, network)}; {self.map_topic}, {self.local_map_topic}")
             saver = _Saver(self.out, self.save_every)
             _map(mapping, network, saver, stop, interface or "the interfaces of CYCLONEDDS_URI")
             saver.last(mapping)
-        print(f"{mapping.scans} scans, {mapping.readings} readings; map in {self.out}/map.png")
+        print(escaped(f"{mapping.scans} scans, {mapping.readings} readings; map in {self.out}/map.png"))
 
     def _check(self) -> int:
         check_map(self.resolution, self.half_life)
@@ -200,6 +202,7 @@ def _write(folder: Path, snapshot: "Snapshot") -> None:
     from echogrid.output.map_file import write_map
 
     write_map(folder, snapshot.grid, snapshot.path, snapshot.settings, snapshot.title)
+    drop(folder)
 
 
 @contextmanager
@@ -212,7 +215,7 @@ def stopped() -> Generator[list[int]]:
             raise KeyboardInterrupt
         signals.append(number)
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         yield signals
     finally:
@@ -221,4 +224,4 @@ def stopped() -> Generator[list[int]]:
 
 
 def _say(text: str) -> None:
-    print(f"live: {text}", file=sys.stderr, flush=True)
+    print(f"live: {escaped(text)}", file=sys.stderr, flush=True)

@@ -1,6 +1,5 @@
 """Commands that make maps of logs and score them: map, score."""
 
-import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -14,13 +13,15 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from echogrid.cli.arguments import Ros, bar, check_map, open_log, print_notes
-from echogrid.errors import InputError
+from echogrid.cli.arguments import Ros, bar, check_map, drop, open_log, print_notes
+from echogrid.errors import InputError, escaped
 from echogrid.files import made, replacing
-from echogrid.frame import Frame, Log, Track
+from echogrid.frame import Frame, Log
 from echogrid.grid import Grid
+from echogrid.output.folder import check_folder
 from echogrid.output.follower import Follower
 from echogrid.robot import Robot, robot_yaml
+from echogrid.track import Track
 
 if TYPE_CHECKING:
     from echogrid.models.model import Model
@@ -79,13 +80,15 @@ class Map:
         check_map(self.resolution, self.half_life)
         log, robot, named = open_log(self.log, self.robot, self.ros.choice())
         model = sensor_model(self.interpreter)
-        title = f"{Path(log.name).name}, {robot.name}, {model.name}"
+        title = escaped(f"{Path(log.name).name}, {robot.name}, {model.name}")
         with made(self.out), ExitStack() as stack:  # a folder that cannot be made is found now, not after the mapping
+            check_folder(self.out, self._besides())
             followers = list(self._followers(robot, title, stack))
             mapped = self._mapped(log, robot, model, followers)
             write_map(self.out, mapped.grid, mapped.path, self._settings(log, robot, model, mapped), title, self.pgm)
             for follower in followers:
                 follower.finish(mapped.grid)
+        drop(self.out, self._besides(), log.name)
         self._report(log, robot, named, mapped)
         if self.rerun:
             self._show()
@@ -99,7 +102,7 @@ class Map:
         def frames() -> Iterator[Frame]:
             nonlocal count, valid
             for frame in bar(log, "mapping", "scan"):
-                path.add(frame)
+                path.add(float(frame.pose[0]), float(frame.pose[1]))
                 count += 1
                 valid = valid or not np.isnan(frame.ranges).all()
                 for follower in followers:
@@ -131,10 +134,13 @@ class Map:
         rows, cols = mapped.grid.shape
         cell = mapped.grid.resolution
         files = f"{self.out}/map.png{', map.html' if self.view else ''}"
-        print(
-            f"{log.name}: {mapped.frames} scans of {robot.name} in {mapped.seconds:.1f} s; "
-            f"map of {cols * cell:.1f} x {rows * cell:.1f} m in {files}"
-        )
+        what = f"{log.name}: {mapped.frames} scans of {robot.name} in {mapped.seconds:.1f} s"
+        print(escaped(f"{what}; map of {cols * cell:.1f} x {rows * cell:.1f} m in {files}"))
+
+    def _besides(self) -> list[str]:
+        """The files that the options ask for beside the map."""
+        asked = {"map.html": self.view, "map.mcap": self.mcap, "map.rrd": self.rerun}
+        return [name for name, wanted in asked.items() if wanted]
 
     def _followers(self, robot: Robot, title: str, stack: ExitStack) -> Iterator[Follower]:
         """What the options ask for beside the map; their files are whole when the stack is closed."""
@@ -155,8 +161,6 @@ class Map:
         """Show map.rrd until Ctrl-C."""
         from echogrid.output.rerun_server import served
 
-        for sign in (signal.SIGTERM, signal.SIGHUP):  # whoever ends us, Rerun is to end with us
-            signal.signal(sign, signal.default_int_handler)
         with suppress(KeyboardInterrupt), served(self.out / "map.rrd") as shown:
             print(f"{self.out}/map.rrd is at {shown.address} until Ctrl-C", flush=True)
             shown.wait()

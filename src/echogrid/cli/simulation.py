@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 
 from echogrid.cli.arguments import WORLD, bar, check_physics, check_seed
 from echogrid.errors import UsageError
-from echogrid.files import replacing, unwritable
+from echogrid.files import check_writable, replacing, unwritable
 from echogrid.frame import Frame
 from echogrid.robot import TRANSDUCERS, Robot
 from echogrid.simulation.acoustics import Physics
@@ -47,6 +47,9 @@ class Simulate:
 
         check_physics(self.physics)
         check_seed(self.seed)
+        check_writable(self.out)
+        truth = self.out.with_suffix(".truth.npz")
+        check_writable(truth)
         world, robot = World.load(self.world).with_walls(self.walls), Robot.load(self.robot)
         if self.drive == "auto":
             poses = tour(world, robot.footprint_radius_m + 0.1)
@@ -57,7 +60,6 @@ class Simulate:
         rounded = (Frame(round(f.stamp, 3), f.pose, np.round(f.ranges, 4)) for f in frames)
         with replacing(self.out) as log:  # it appears only when its truth is there
             write_csv(log, bar(rounded, "simulating", "scan", len(poses)), robot.sonars)
-            truth = self.out.with_suffix(".truth.npz")
             write_truth(truth, truth_of(world, poses))
         length = np.sum(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))
         print(f"{world.name}: {len(poses)} scans of {robot.name} over {length:.1f} m in {self.out}, truth in {truth}")
@@ -139,6 +141,8 @@ class Train:
         check_seed(self.seed)
         if not self.out.name or self.out.is_dir():
             raise unwritable(self.out, "a folder")
+        if self.out.parent.is_dir():
+            check_writable(self.out)
         robot = None if self.robot == "any" else Robot.load(self.robot)
         begin = time.perf_counter()
         kind = SetRecipe if self.network == "set" else PaperRecipe

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int8
 from numpy import ndarray
 
-from echogrid.frame import Frame, Track
+from echogrid.errors import UsageError
+from echogrid.frame import Frame
 from echogrid.grid import Grid
 from echogrid.live.sonar_array import SonarArray
 from echogrid.mapping.mapper import Mapper
@@ -18,6 +19,7 @@ from echogrid.models.networks.set_network import SetNetwork
 from echogrid.output.map_server_file import occupancy
 from echogrid.robot import robot_yaml
 from echogrid.ros.messages import Choice
+from echogrid.track import Track
 
 MAP_EVERY_S = 1.0
 """The map is published no more often."""
@@ -164,15 +166,21 @@ class LiveMap:
 
     def _map(self, most: int) -> bool:
         """Put scans into the map; whether there was one."""
-        if not self._ready:
-            return False
+        before, robot = self.scans, self._mapper.robot
         for _ in range(min(most, len(self._ready))):
-            frame = self._last = self._ready.popleft()
+            frame = self._ready.popleft()
             # Always one scan, always with mounts: that is one program to compile, which takes seconds.
-            mounts = self._mapper.robot.mounts if frame.mounts is None else frame.mounts
-            self._mapper.add([replace(frame, mounts=mounts)])
-            self._path.add(frame)
+            mounts = robot.mounts if frame.mounts is None else frame.mounts
+            try:
+                self._mapper.add([replace(frame, mounts=mounts, ranges=robot.clean(frame.ranges))])
+            except UsageError:  # the map is as it was
+                self._refused["a scan whose stamp, pose or mounts cannot be"] += 1
+                continue
+            self._last = frame
+            self._path.add(float(frame.pose[0]), float(frame.pose[1]))
             self.scans += 1
+        if self.scans == before:
+            return False
         self._changed = True
         return True
 

@@ -7,12 +7,13 @@ Two messages are read, all others are passed over (lengths in m, angles in rad, 
 
 Of the two times the first, third from the end, is the message's own and is the one used; the last is when
 the logger wrote the line. The pose of a SONAR message is the odometry at its time, interpolated between the
-ODOM messages before and after it (the heading on the shorter way); before the first and after the last ODOM
-it is that one's pose.
+ODOM messages before and after it (the heading on the shorter way); for half a second before the first and
+after the last ODOM it is that one's pose. A SONAR message farther out, or in a gap of the odometry in which
+the robot moved, has no pose and is left out.
 """
 
 from bisect import bisect_right
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator
 from functools import partial
 from math import hypot, inf, radians, remainder, tau
@@ -30,12 +31,25 @@ from echogrid.frame import Frame, Log
 from echogrid.logs.lines import numbered, quoted, text_of
 from echogrid.logs.rows import Table, number_of, only_numbers
 from echogrid.robot import MAX_SONARS, TRANSDUCERS, Robot
+from echogrid.ros.transforms import JUMP_M, JUMP_RAD, JUMP_S
 
 MAX_HELD = 10_000
 """SONAR messages that may wait for an ODOM message; at 10 a second, a quarter of an hour."""
 
 _KEPT_ODOMS = 256
 """A SONAR line may stand this many ODOM lines too late in the file and still find its pose."""
+
+REACH_S = 0.5
+"""How far before the first and after the last ODOM message its pose is still taken, s."""
+
+OUTSIDE = (
+    f"a SONAR line more than {REACH_S:g} s before the first or after the last ODOM, left out"
+    " (log both throughout, by one clock)"
+)
+GAP = (
+    f"a SONAR line in a gap of the odometry of more than {JUMP_S:g} s in which the robot moved, left out"
+    " (log ODOM throughout)"
+)
 
 _FIRST_WORD = pattern(r"#|[A-Z][A-Z0-9_]*(\s|$)")
 _ODOM_FIELDS = 10
@@ -87,14 +101,38 @@ def load(path: Path, robot: Robot | None) -> Log:
         raise _lacking("SONAR" if first is None else "ODOM", name)
     sonar, where = first
     described = robot or _robot(sonar, where)
-    frames = partial(_frames, path, sonar, described, robot is None)
-    return Log(name, len(sonar.ranges), described, frames)
+    notes: dict[str, int] = {}
+    frames = partial(_frames, path, sonar, described, robot is None, notes)
+    return Log(name, len(sonar.ranges), described, frames, notes)
 
 
-def _frames(path: Path, first: _Sonar, robot: Robot, keep_mounts: bool) -> Iterator[Frame]:
-    """Go through the messages; with ``keep_mounts`` every SONAR line must have the mounts of the first."""
-    name = printable(path)
-    track = _Track()
+def _frames(path: Path, first: _Sonar, robot: Robot, keep_mounts: bool, notes: dict[str, int]) -> Iterator[Frame]:
+    """Go through the messages; at the end the notes are those of this time.
+
+    With ``keep_mounts`` every SONAR line must have the mounts of the first.
+    """
+    name, track, left_out, count, begin = printable(path), _Track(), Counter[str](), 0, inf
+    for sonar in _posed(path, name, first, track, keep_mounts):
+        begin = min(begin, sonar.stamp)
+        pose = track.pose_at(sonar.stamp)
+        if isinstance(pose, str):
+            left_out[pose] += 1
+            continue
+        count += 1
+        yield Frame(sonar.stamp, pose, robot.clean(np.array(sonar.ranges)))
+    notes.clear()
+    notes |= left_out
+    if not count:
+        raise InputError(
+            name,
+            f"no SONAR line at a time of odometry (SONAR from {begin:.1f} s, ODOM from {track.begin:.1f} to"
+            f" {track.end:.1f} s)",
+            "stamps of one clock",
+        )
+
+
+def _posed(path: Path, name: str, first: _Sonar, track: "_Track", keep_mounts: bool) -> Iterator[_Sonar]:
+    """The SONAR messages, each as soon as the track has the odometry round it or there is no more."""
     table = Table(("t", *(f"r{i}" for i in range(len(first.ranges)))))
     waiting: deque[_Sonar] = deque()
     last_stamp = -inf
@@ -117,20 +155,15 @@ def _frames(path: Path, first: _Sonar, robot: Robot, keep_mounts: bool) -> Itera
                 raise InputError(where, f"{MAX_HELD} SONAR lines and no ODOM line", "odometry between them")
             waiting.append(sonar)
         while waiting and waiting[0].stamp <= track.end:
-            yield _frame(waiting.popleft(), track, robot)
+            yield waiting.popleft()
     if last_stamp == -inf or track.end == -inf:
         # Opening has seen both: the file has changed since.
         raise _lacking("SONAR" if last_stamp == -inf else "ODOM", name)
-    while waiting:
-        yield _frame(waiting.popleft(), track, robot)
+    yield from waiting
 
 
 def _lacking(kind: str, name: str) -> InputError:
     return InputError(name, f"no {kind} line", "a CARMEN log with SONAR and ODOM lines")
-
-
-def _frame(sonar: _Sonar, track: "_Track", robot: Robot) -> Frame:
-    return Frame(sonar.stamp, track.pose_at(sonar.stamp), robot.clean(np.array(sonar.ranges)))
 
 
 class _Track:
@@ -139,6 +172,8 @@ class _Track:
     def __init__(self) -> None:
         self._stamps: list[float] = []
         self._poses: list[tuple[float, float, float]] = []
+        self.begin = inf
+        """Stamp of the first ODOM message, s; inf before it."""
 
     @property
     def end(self) -> float:
@@ -151,19 +186,29 @@ class _Track:
             raise InputError(where, f"{len(fields)} fields", f"{_ODOM_FIELDS} in an ODOM line")
         x, y, theta, *_, stamp, _logged = _numbers(fields, where)
         _check(_ODOM_TABLE, [x, y, theta, stamp], where, self.end)
+        self.begin = min(self.begin, stamp)
         self._stamps.append(stamp)
         self._poses.append((x, y, theta))
         if len(self._stamps) > 2 * _KEPT_ODOMS:
             del self._stamps[:_KEPT_ODOMS], self._poses[:_KEPT_ODOMS]
 
-    def pose_at(self, stamp: float) -> Float[ndarray, "3"]:
-        """The pose (m, m, rad in [-pi, pi]) at a time (s), interpolated; outside the track the nearest."""
+    def pose_at(self, stamp: float) -> Float[ndarray, "3"] | str:
+        """The pose (m, m, rad in [-pi, pi]) at a time (s), interpolated; near the ends of the track that there.
+
+        Where there is none, why.
+        """
         after = bisect_right(self._stamps, stamp)
         if after == 0 or after == len(self._stamps):
-            x, y, theta = self._poses[0 if after == 0 else -1]
+            end = 0 if after == 0 else -1
+            if abs(self._stamps[end] - stamp) > REACH_S:
+                return OUTSIDE
+            x, y, theta = self._poses[end]
             return np.array([x, y, remainder(theta, tau)])
         start, end = self._stamps[after - 1], self._stamps[after]
         (x0, y0, theta0), (x1, y1, theta1) = self._poses[after - 1], self._poses[after]
+        moved = hypot(x1 - x0, y1 - y0) > JUMP_M or abs(remainder(theta1 - theta0, tau)) > JUMP_RAD
+        if end - start > JUMP_S and moved and start < stamp:
+            return GAP
         share = (stamp - start) / (end - start)
         theta = theta0 + share * remainder(theta1 - theta0, tau)
         return np.array([x0 + share * (x1 - x0), y0 + share * (y1 - y0), remainder(theta, tau)])

@@ -1,13 +1,14 @@
 """The CSV log: one row a frame.
 
-Header ``t,x,y,theta,r0,...,rN-1``, with ``odom_x,odom_y,odom_theta`` after ``theta`` where there is
-dead reckoning besides the pose. Units s, m, m, rad, m. A range of ``inf`` is no echo; an empty one, ``nan``
-or ``-inf`` (too near) is not fired or not valid. Rows are in time order; equal stamps are allowed.
+Header ``t,x,y,theta,r0,...,rN-1``, with ``odom_x,odom_y,odom_theta`` besides where there is dead reckoning
+besides the pose; the columns may be in any order, and separated otherwise (``csv_header``). Units s, m, m, rad, m. A
+range of ``inf`` is no echo; an empty one, ``nan`` or ``-inf`` (too near) is not fired or not valid. Rows are in time
+order; equal stamps are allowed.
 """
 
 from collections.abc import Iterable, Iterator
 from functools import partial
-from itertools import batched
+from itertools import batched, islice
 from pathlib import Path
 
 import numpy as np
@@ -18,20 +19,20 @@ from echogrid.doubts import Judge
 from echogrid.errors import InputError
 from echogrid.files import printable, replacing, unwritable
 from echogrid.frame import Frame, Log
-from echogrid.logs.lines import MAX_LINE, numbered, quoted, text_of
+from echogrid.logs.csv_header import ODOM, POSE, Header, read_header, recognises
+from echogrid.logs.lines import MAX_LINE, numbered, text_of
 from echogrid.logs.rows import Table, number_of, only_numbers
-from echogrid.robot import MAX_SONARS, Robot
+from echogrid.robot import Robot
 
-_POSE = ("t", "x", "y", "theta")
-_ODOM = ("odom_x", "odom_y", "odom_theta")
+__all__ = ["load", "recognises", "write_csv"]
 
 # One call of numpy's parser costs as much as some ten rows; past a few hundred rows nothing is gained.
 _BATCH_ROWS = 256
 
+_COMMENT = ord("#")
 
-def recognises(first_line: str) -> bool:
-    """Whether a file that starts with this line is meant as a CSV log."""
-    return first_line.replace(" ", "").startswith("t,x,y,theta")
+MAX_EMPTY = 100_000
+"""Blank lines or comments in a row; a small compressed file can be made to hold any number of them."""
 
 
 def load(path: Path, robot: Robot | None) -> Log:
@@ -45,44 +46,32 @@ def load(path: Path, robot: Robot | None) -> Log:
         InputError: not such a file, a wrong header, or no rows.
     """
     lines = numbered(path)
-    columns = _columns(lines, printable(path))
-    if not any(line.strip() for _, line in lines):
+    header = read_header(lines, printable(path))
+    if not any(line.strip() and not line.startswith(b"#") for _, line in islice(lines, MAX_EMPTY)):
         raise _no_rows(printable(path))
-    sonars = len(columns) - columns.index("r0")
+    sonars = len(header.columns) - header.columns.index("r0")
     notes: dict[str, int] = {}
-    return Log(printable(path), sonars, robot, partial(_frames, path, columns, robot, notes), notes, judges=True)
+    return Log(printable(path), sonars, robot, partial(_frames, path, header, robot, notes), notes, judges=True)
 
 
-def _columns(lines: Iterator[tuple[int, bytes]], name: str) -> tuple[str, ...]:
-    """Names of the columns, from the first line."""
-    where = f"{name}:1"
-    _, line = next(lines, (1, b""))
-    found = tuple(column.strip() for column in text_of(line, where).split(","))
-    front = _POSE + _ODOM if found[4:5] == _ODOM[:1] else _POSE
-    sonars = max(len(found) - len(front), 1)
-    expected = front + tuple(f"r{i}" for i in range(sonars))
-    for i, column in enumerate(expected):
-        if found[i : i + 1] != (column,):
-            shown = quoted(found[i]) if i < len(found) else "nothing"
-            raise InputError(where, f"{shown} as column {i + 1}", repr(column))
-    if sonars > MAX_SONARS:
-        raise InputError(where, f"{sonars} sonars", f"at most {MAX_SONARS}")
-    return expected
-
-
-def _frames(path: Path, columns: tuple[str, ...], robot: Robot | None, notes: dict[str, int]) -> Iterator[Frame]:
+def _frames(path: Path, header: Header, robot: Robot | None, notes: dict[str, int]) -> Iterator[Frame]:
     """Go through the rows; the frames before a wrong row come before its error."""
     name = printable(path)
     lines = numbered(path)
-    if _columns(lines, name) != columns:
+    if read_header(lines, name) != header:
         raise InputError(f"{name}:1", "another header than before", "a log that does not change")
-    table = Table(columns)
-    first_range = columns.index("r0")
+    table = Table(header.columns)
+    first_range = header.columns.index("r0")
     last_stamp = -inf
     judge = Judge(robot)
     notes.clear()
-    for first, rows in _batches(lines, name):
-        values, error = _parse(rows, columns, first, name)
+    with_commas, order = header.with_commas(name), header.order
+    for first, rows in _batches(lines, name, header.line + 1):
+        rows, mixed = with_commas(rows, first) if with_commas else (rows, None)
+        values, error = _parse(rows, header.names, first, name)
+        error = error or mixed
+        if order:
+            values = values[:, order]
         good, fault = table.check(values, last_stamp)
         values = values[:good]
         ranges = values[:, first_range:]
@@ -92,7 +81,7 @@ def _frames(path: Path, columns: tuple[str, ...], robot: Robot | None, notes: di
             ranges = robot.clean(ranges)
         # Copied: whoever keeps the poses of a long drive would keep all its ranges with them.
         poses = values[:, 1:4].copy()
-        odoms = values[:, 4:7].copy() if first_range > len(_POSE) else [None] * good
+        odoms = values[:, 4:7].copy() if first_range > len(POSE) else [None] * good
         stamps = values[:, 0].tolist()
         yield from map(Frame, stamps, poses, ranges, odoms)
         if fault is not None:
@@ -109,13 +98,23 @@ def _no_rows(name: str) -> InputError:
     return InputError(name, "a header and no rows", "one row a frame")
 
 
-def _batches(lines: Iterator[tuple[int, bytes]], name: str) -> Iterator[tuple[int, list[bytes]]]:
-    """Group the rows; yields the number of the first line of each group, and its lines."""
+def _batches(lines: Iterator[tuple[int, bytes]], name: str, first: int) -> Iterator[tuple[int, list[bytes]]]:
+    """Group the rows, from line ``first`` on; yields the number of the first line of each group, and its lines."""
     rows: list[bytes] = []
-    size, first, blank = 0, 2, 0
+    size, blank, empty = 0, 0, 0
     for number, line in lines:
         if line.isspace():
-            blank = blank or number
+            blank, empty = blank or number, empty + 1
+            if empty > MAX_EMPTY:
+                break
+            continue
+        if line[0] == _COMMENT:
+            if rows:
+                yield first, rows
+                rows, size, empty = [], 0, 0
+            first, empty = number + 1, empty + 1
+            if empty > MAX_EMPTY:
+                raise InputError(f"{name}:{number}", f"{MAX_EMPTY} comments in a row", "rows between them")
             continue
         if blank:
             break
@@ -137,7 +136,7 @@ def _parse(
 ) -> tuple[Float[ndarray, "rows columns"], InputError | None]:
     """The numbers of the rows up to the first that is not made of numbers, and that row's error."""
     text = b"".join(rows)
-    if only_numbers(text):
+    if rows and only_numbers(text):
         try:
             values = np.loadtxt(text.decode("ascii").splitlines(), delimiter=",", comments=None, ndmin=2)
         except ValueError:
@@ -162,10 +161,9 @@ def _numbers(row: bytes, columns: tuple[str, ...], where: str) -> list[float]:
         raise InputError(where, f"{len(fields)} columns", f"{len(columns)}, as the header has")
     if not fields[-1].strip() and not row.endswith(b"\n"):
         raise InputError(where, "a last line that is cut off", "a value and a line end")
-    empty_allowed = columns.index("r0")
     return [
-        nan if i >= empty_allowed and not field.strip() else number_of(field, column, where)
-        for i, (column, field) in enumerate(zip(columns, fields, strict=True))
+        nan if column[0] == "r" and not field.strip() else number_of(field, column, where)
+        for column, field in zip(columns, fields, strict=True)
     ]
 
 
@@ -197,7 +195,7 @@ def _lines(frames: Iterable[Frame], sonars: int, name: str) -> Iterator[str]:
     done = 0
     for batch in batched(frames, _BATCH_ROWS):
         if table is None:
-            front = _POSE if batch[0].odom is None else _POSE + _ODOM
+            front = POSE if batch[0].odom is None else POSE + ODOM
             table = Table(front + tuple(f"r{i}" for i in range(sonars)))
             yield ",".join(table.names) + "\n"
         values = np.array([_row(frame, table, f"{name}: frame {done + i}") for i, frame in enumerate(batch)])

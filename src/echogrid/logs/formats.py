@@ -34,11 +34,12 @@ def _text(name: str, recognises: Callable[[str], bool], load: Callable[[Path, Ro
 
 
 READERS = (
-    _text("a CSV log (t,x,y,theta,r0,...)", csv_log.recognises, csv_log.load),
     _text("a CARMEN log (# ..., ODOM ..., SONAR ...)", carmen.recognises, carmen.load),
+    Reader("a CSV log (t,x,y,theta,r0,...)", csv_log.recognises, lambda path, robot, _: csv_log.load(path, robot)),
     Reader("a bag of ROS", bag.recognises, bag.load, chooses=True),
 )
-"""Asked from the last to the first: what ends or begins like a bag is not looked at as a text."""
+"""Asked from the last to the first: what ends or begins like a bag is not looked at as a text, and what begins with
+comments may be a CSV log before it is a CARMEN log."""
 
 
 def load_log(path: str | Path, robot: Robot | None = None, choice: Choice | None = None) -> Log:

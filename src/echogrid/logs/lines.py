@@ -8,6 +8,7 @@ from pathlib import Path
 
 from echogrid.errors import InputError
 from echogrid.files import printable
+from echogrid.packed import opened
 
 MAX_LINE = 1_000_000
 """A longer line (bytes) is no line of a log; it is refused before it fills the memory."""
@@ -23,6 +24,8 @@ def quoted(text: bytes | str) -> str:
 def numbered(path: Path) -> Iterator[tuple[int, bytes]]:
     """Go through the lines of a file, numbered from 1, each with its line end; a byte order mark is dropped.
 
+    A compressed file is unpacked as it is read.
+
     No more than one line is in memory.
 
     Raises:
@@ -31,7 +34,7 @@ def numbered(path: Path) -> Iterator[tuple[int, bytes]]:
     name = printable(path)
     try:
         _refuse_odd_file(path, name)
-        with path.open("rb") as file:
+        with opened(path) as file:
             for number in itertools.count(1):
                 line = file.readline(MAX_LINE + 1)
                 if not line:
@@ -63,6 +66,8 @@ def text_of(line: bytes, where: str) -> str:
     Raises:
         InputError: not UTF-8, or with a NUL in it: the file is no text.
     """
+    if line[257:262] == b"ustar":
+        raise InputError(where, "a tar archive", "the log in it (tar -xf unpacks it)")
     if b"\0" in line:
         raise InputError(where, "a NUL byte", "a text file")
     try:

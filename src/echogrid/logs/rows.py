@@ -8,6 +8,7 @@ from jaxtyping import Float
 from numpy import inf, ndarray
 
 from echogrid.errors import InputError
+from echogrid.limits import MOST_M, MOST_RAD, MOST_RANGE_M, MOST_STAMP_S
 from echogrid.logs.lines import quoted
 
 _NUMBER_BYTES = b"0123456789+-.eE infatyINFATY,\t\r\n"
@@ -24,13 +25,12 @@ class _Rule:
 
 
 _RULES = {
-    # Milliseconds since 1970 stand at 1.7e12, so that a stamp in a wrong unit is found.
-    "t": _Rule("a time in s within +-1e11", -1e11, 1e11),
-    "x": _Rule("metres within +-1e7", -1e7, 1e7),
-    "y": _Rule("metres within +-1e7", -1e7, 1e7),
-    "theta": _Rule("radians within +-1e7", -1e7, 1e7),
+    "t": _Rule("a time in s within +-1e11", -MOST_STAMP_S, MOST_STAMP_S),
+    "x": _Rule("metres within +-1e7", -MOST_M, MOST_M),
+    "y": _Rule("metres within +-1e7", -MOST_M, MOST_M),
+    "theta": _Rule("radians within +-1e7", -MOST_RAD, MOST_RAD),
 }
-_RANGE_RULE = _Rule("metres from 0 up to 100, or inf", 0.0, 100.0, may_miss=True)
+_RANGE_RULE = _Rule("metres from 0 up to 100, or inf", 0.0, MOST_RANGE_M, may_miss=True)
 
 
 class Table:

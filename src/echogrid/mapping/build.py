@@ -4,11 +4,10 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from echogrid.doubts import Whereabouts
 from echogrid.frame import Frame
 from echogrid.grid import Grid
 from echogrid.mapping.mapper import Mapper
-from echogrid.mapping.registry import DEFAULT, sensor_model
+from echogrid.mapping.registry import DEFAULT
 from echogrid.models.model import Evidence, Model
 from echogrid.robot import Robot
 
@@ -25,8 +24,11 @@ def build_map(
 ) -> Iterator[Grid]:
     """Fuse the frames of a drive into a global map that grows as the robot drives.
 
+    Ranges are cleaned by the limits of the robot (``Robot.clean``); those of a log that was loaded for it are clean.
+
     Args:
-        frames: a log; each frame is read once, and not kept but by a model that needs the whole log.
+        frames: a log; each frame is read once, and not kept but by a model that needs the whole log. They may hold
+            what ``Mapper.add`` takes, and are not to be changed while they are mapped.
         robot: the robot that drove; its mounts are in the order of the readings.
         model: a sensor model, or its name.
         resolution: side of a global cell, m; None: the model's own.
@@ -37,15 +39,15 @@ def build_map(
         whole log yields once. Frames at places that no robot can have got to are left out (``Whereabouts``).
 
     Raises:
-        UsageError: the frames do not fit the robot, the map would become too large, or evidence is to fade of a model
-            other than the set network.
+        UsageError: as of ``Mapper`` at once, as of ``Mapper.add`` when the map comes to the frame.
     """
-    mapper = Mapper(robot, sensor_model(model) if isinstance(model, str) else model, resolution, half_life)
+    return _steps(Mapper(robot, model, resolution, half_life), frames)
+
+
+def _steps(mapper: Mapper, frames: Iterable[Frame]) -> Iterator[Grid]:
     with ThreadPoolExecutor(WORKERS) as pool:
         waiting: deque[Future[Evidence]] = deque()
-        where = Whereabouts()
-        reached = (frame for frame in frames if where.takes(frame.stamp, *frame.pose[:2].tolist()))
-        for batch in mapper.batches(reached):
+        for batch in mapper.batches(frames):
             # Of one size, for a log is read in less time than another program is compiled.
             waiting.append(pool.submit(mapper.prepare(batch, filled=True)))
             # What comes before it is fused while it is interpreted.

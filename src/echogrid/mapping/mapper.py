@@ -4,31 +4,55 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
-from echogrid.errors import UsageError
+from echogrid.doubts import Whereabouts
 from echogrid.frame import Frame
 from echogrid.grid import Grid, GrowingGrid
+from echogrid.limits import HALF_LIFE, MOST_M, RESOLUTION, Limits
+from echogrid.mapping.intake import check_robot, cleaned, fitting
+from echogrid.mapping.registry import DEFAULT, sensor_model
 from echogrid.models.model import Evidence, Model
 from echogrid.robot import Robot
 
+_PLACE = Limits(-MOST_M, MOST_M, "m")
+
+_MOST_AROUND = 20_000
+"""Cells along a side of a square, as many as a map may have in all."""
+
 
 class Mapper:
-    """Builds the map of one drive."""
+    """Builds the map of one drive.
 
-    def __init__(self, robot: Robot, model: Model, resolution: float | None = None, half_life: float | None = None):
+    What cannot be mapped raises a UsageError of one line and leaves the map as it was, to go on with.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        model: Model | str = DEFAULT,
+        resolution: float | None = None,
+        half_life: float | None = None,
+    ):
         """An empty map.
 
         Args:
             robot: the robot that drives; its mounts are in the order of the readings.
-            model: the sensor model.
+            model: the sensor model, or its name.
             resolution: side of a cell, m; None: the model's own.
             half_life: time in which evidence comes to count half, s; None: it never fades.
 
         Raises:
-            UsageError: evidence is to fade of a model other than the set network.
+            UsageError: no such robot or model, a resolution or half-life that no map can have, or evidence is to fade
+                of a model other than the set network.
         """
-        self.resolution = resolution or model.cell_m
+        check_robot(robot)
+        if not isinstance(model, Model):
+            model = sensor_model(model)
+        self.resolution = model.cell_m if resolution is None else RESOLUTION.check(resolution, "resolution")
+        half_life = None if half_life is None else HALF_LIFE.check(half_life, "half_life")
         self._fusion = model.fusion(robot, self.resolution, half_life)
         self._grown = GrowingGrid(self.resolution, self._fusion.blank)
+        # Where nothing fades the stamps decide nothing, and scans may come in any order.
+        self._latest = None if half_life is None else -np.inf
 
     @property
     def robot(self) -> Robot:
@@ -37,32 +61,58 @@ class Mapper:
 
     def equip(self, robot: Robot) -> None:
         """Go on with another array of sonars; the map stays, what was remembered of the surroundings does not."""
+        check_robot(robot)
         self._fusion.equip(robot)
 
     def add(self, frames: Iterable[Frame]) -> None:
-        """Take scans into the map at once, in their order.
+        """Take scans into the map at once, in their order: all of them or, where an error is raised, none.
+
+        Ranges are cleaned by the limits of the robot (``Robot.clean``). Numbers may be lists, integers or of single
+        precision. Stamps may be in any order where no evidence is to fade.
 
         Raises:
-            UsageError: a frame has another number of readings than the robot has sonars, or the map would become
-                too large.
+            UsageError: a frame has another number of readings than the robot has sonars, or a stamp, pose, range or
+                mount that cannot be; time goes back by more than a second where evidence is to fade; the map would
+                become too large; or a model that needs the whole log at once has had it. The line names the frame's
+                number or stamp.
         """
-        for batch in self.batches(frames):
+        # Of a log there is more than memory holds, but ``build_map`` for that.
+        checked = cleaned(list(fitting(frames, self.robot, self._latest)), self.robot)
+        if not checked:
+            return
+        self._check_room(checked)
+        for batch in self._fusion.batches(checked):
             self.fuse(self.prepare(batch)())
+        if self._latest is not None:
+            self._latest = max(self._latest, *(frame.stamp for frame in checked))
+
+    def _check_room(self, frames: Sequence[Frame]) -> None:
+        """Raise a UsageError if the map would become too large with these frames."""
+        places = np.array([frame.pose[1::-1] for frame in frames])
+        far = max(
+            (float(np.max(np.abs(frame.mounts[:, :2]))) for frame in frames if frame.mounts is not None), default=0
+        )
+        if far:  # scans of models that take them apart are put where a sonar looked from
+            far = np.sqrt(2) * (far + float(np.max(np.abs(self.robot.mounts[:, :2]))))
+        reach = self._fusion.reach_cells + int(np.ceil(far / self.resolution))
+        low, high = (
+            np.floor(each / self.resolution).astype(np.int64) for each in (places.min(axis=0), places.max(axis=0))
+        )
+        self._grown.check_room(low - reach, high + 1 + reach)
 
     def batches(self, frames: Iterable[Frame]) -> Iterator[Sequence[Frame]]:
-        """Frames in their order, as many together as ``prepare`` takes at once.
+        """Frames of a log in their order, cleaned, as many together as ``prepare`` takes at once.
+
+        Those at places that no robot can have got to are left out, see ``Whereabouts``.
 
         Raises:
-            UsageError: a frame has another number of readings than the robot has sonars.
+            UsageError: as of ``add``, but for the size of the map.
         """
-        return self._fusion.batches(self._fitting(frames))
-
-    def _fitting(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        for frame in frames:
-            if len(frame.ranges) != self.robot.sonars:
-                found = f"a frame of {len(frame.ranges)} readings"
-                raise UsageError(f"map: found {found}, expected {self.robot.sonars} (robot {self.robot.name})")
-            yield frame
+        where = Whereabouts()
+        fits = fitting(frames, self.robot, self._latest)
+        reached = (frame for frame in fits if where.takes(float(frame.stamp), *map(float, frame.pose[:2])))
+        for batch in self._fusion.batches(reached):
+            yield cleaned(batch, self.robot)
 
     def prepare(self, batch: Sequence[Frame], filled: bool = False) -> Callable[[], Evidence]:
         """Note a batch; what is returned works out, in any thread, what it tells. See ``Fusion.read``.
@@ -92,7 +142,12 @@ class Mapper:
             x: of the point, m, world.
             y: likewise.
             side_m: side of the square, m; it is filled with what nobody spoke of where the map ends.
+
+        Raises:
+            UsageError: no number, too far off, or a square of too many cells.
         """
+        x, y = (_PLACE.check(value, f"around: {name}") for name, value in (("x", x), ("y", y)))
+        side_m = Limits(self.resolution, self.resolution * _MOST_AROUND, "m").check(side_m, "around: side_m")
         cells = round(side_m / self.resolution)
         corner = np.floor(np.array([y, x]) / self.resolution).astype(np.int64) - cells // 2
         self._fusion.read_out(self._grown.overlap(corner, (cells, cells)))

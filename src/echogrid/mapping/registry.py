@@ -14,6 +14,7 @@ from echogrid.models.networks.paper_network import FORMAT, Network
 from echogrid.models.networks.set_network import FORMAT as SET_FORMAT
 from echogrid.models.networks.set_network import SetNetwork
 from echogrid.models.networks.weights import read_weights
+from echogrid.yaml_keys import shown
 
 _WEIGHTS = resources.files("echogrid") / "weights"
 
@@ -48,13 +49,16 @@ MODELS: dict[str, Callable[[], Model]] = {
 DEFAULT = "set-network"
 
 
-def sensor_model(name_or_weights: str) -> Model:
+def sensor_model(name_or_weights: str | Path) -> Model:
     """A model by name, or a network with weights from a file.
 
     Raises:
         InputError: the file is not a weights file.
         UsageError: neither a name nor a file.
     """
+    if not isinstance(name_or_weights, str | Path):
+        raise UsageError(f"interpreter: found {shown(name_or_weights)}, expected a model or its name")
+    name_or_weights = str(name_or_weights)
     if name_or_weights in MODELS:
         return MODELS[name_or_weights]()
     if not Path(name_or_weights).exists():

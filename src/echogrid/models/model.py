@@ -37,6 +37,8 @@ class Fusion(ABC):
 
     blank: Layers
     """Layers that its cells have besides those of every map, see ``GrowingGrid``."""
+    reach_cells: int = 0
+    """How far, at most, the window of ``Evidence`` reaches past the places of the robot in its scans."""
 
     def __init__(self, robot: Robot):
         self.equip(robot)

@@ -1,22 +1,22 @@
 """Maps and truth grids as files: NPZ, a picture for people, and the pair of ROS's map_server."""
 
 import os
-import zipfile
-from collections.abc import Callable, Generator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
 from importlib import metadata
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import yaml
 from jaxtyping import Float
 from numpy import ndarray
 
-from echogrid.errors import EchogridError, InputError, UsageError
-from echogrid.files import made, plain_file, replacing
+from echogrid.errors import InputError, UsageError
+from echogrid.files import made, replacing
 from echogrid.grid import MAX_CELLS, MAX_FILE_BYTES, P_MAX, P_MIN, Grid, logit
 from echogrid.metrics import FREE, HIDDEN, SURFACE, Truth
+from echogrid.npz import open_npz
 from echogrid.output.map_picture import draw_map
 from echogrid.output.map_server_file import (
     COORDINATES_M,
@@ -101,7 +101,7 @@ def read_map(path: str | Path) -> Grid:
         path /= names[0]
     if path.suffix.lower() in (".yaml", ".yml"):
         return read_map_server(path)
-    with _open_npz(path, "a map folder, map.npz or map.yaml") as arrays:
+    with open_npz(path, "a map folder, map.npz or map.yaml", MAX_FILE_BYTES) as arrays:
         log_odds = _array(arrays, "log_odds", path, "f", "floats")
         observed = _array(arrays, "observed", path, "b", "bools")
         if observed.shape != log_odds.shape:
@@ -137,7 +137,7 @@ def read_truth(path: str | Path) -> Truth:
         InputError: not there, damaged, or not a truth grid; the message names the file and the array.
     """
     path = Path(path)
-    with _open_npz(path, "a truth grid (NPZ)") as arrays:
+    with open_npz(path, "a truth grid (NPZ)", MAX_FILE_BYTES) as arrays:
         name = "truth" if "truth" in arrays.files else _only_labels(arrays, path)
         cells = _array(arrays, name, path, "biuf", "integers")
         if not _are_labels(cells):
@@ -167,33 +167,6 @@ def _only_labels(arrays: np.lib.npyio.NpzFile, path: Path) -> str:
         found = f"the arrays {', '.join(names)}" if names else "none"
         raise InputError(path, found, "one two-dimensional array of integers, or one that is called truth")
     return names[0]
-
-
-@contextmanager
-def _open_npz(path: Path, expected: str) -> Generator[np.lib.npyio.NpzFile]:
-    """The arrays of an NPZ file, read as they are asked for; any damage met on the way is an InputError."""
-    try:
-        with open(plain_file(path, expected, MAX_FILE_BYTES), "rb") as file:
-            _check_archive(file, path, expected)
-            with np.load(file, allow_pickle=False) as arrays:
-                yield arrays
-    except EchogridError:
-        raise
-    except OSError as error:
-        raise InputError(path, error.strerror or str(error), expected) from None
-    except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds for a damaged file
-        reason = str(error) or type(error).__name__
-        raise InputError(path, f"an archive that cannot be read ({reason})", expected) from None
-
-
-def _check_archive(file: BinaryIO, path: Path, expected: str) -> None:
-    """Refuse what is no archive at all, and one that would fill the memory; leaves the file at its start."""
-    if not zipfile.is_zipfile(file):
-        raise InputError(path, "a file that is not an NPZ archive", expected)
-    with zipfile.ZipFile(file) as archive:
-        if sum(member.file_size for member in archive.infolist()) > MAX_FILE_BYTES:
-            raise InputError(path, f"more than {MAX_FILE_BYTES:.0e} bytes when unpacked", expected)
-    file.seek(0)
 
 
 def _array(arrays: np.lib.npyio.NpzFile, name: str, path: Path, kinds: str, expected: str) -> ndarray:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.grid import P_MAX, P_MIN, Grid, sigmoid
+from echogrid.track import line_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,9 +27,10 @@ def draw_map(path: Path, grid: Grid, path_world: Float[ndarray, "poses _"], titl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    drive = _thinned(np.asarray(path_world, dtype=float)[:, :2])
+    drive = np.asarray(path_world, dtype=float)[:, :2]
+    drive = drive[np.isfinite(drive).all(axis=1)]
     image, *corners = _image(grid.observed_part() or grid)
-    low, high = np.min([*corners, *drive], axis=0), np.max([*corners, *drive], axis=0)
+    low, high = np.min([*corners, *_box(drive)], axis=0), np.max([*corners, *_box(drive)], axis=0)
     margin = 0.03 * np.max(high - low)
     low, high = low - margin, high + margin
     inch_per_m = _MAP_INCHES / np.max(high - low)
@@ -36,7 +38,7 @@ def draw_map(path: Path, grid: Grid, path_world: Float[ndarray, "poses _"], titl
     page = np.array([max(size[0], _KEY_INCHES) + 1.2, size[1] + (2.25 if title else 1.95)])
     corner = np.array([(page[0] - size[0]) / 2 + 0.2, 1.75])
 
-    figure = Figure(figsize=(page[0], page[1]), dpi=150)
+    figure = Figure(figsize=(page[0], page[1]), dpi=_DPI)
     FigureCanvasAgg(figure)
     axes = figure.add_axes((*(corner / page), *(size / page)))
     shown = _draw_cells(axes, image, *corners)
@@ -45,7 +47,7 @@ def draw_map(path: Path, grid: Grid, path_world: Float[ndarray, "poses _"], titl
     heading = title if len(title) <= _TITLE_LENGTH else title[: _TITLE_LENGTH - 3] + "..."
     figure.text(0.5, 1 - 0.25 / page[1], heading, ha="center", va="center", size=11, parse_math=False)
     if len(drive):
-        _draw_drive(axes, drive)
+        _draw_drive(axes, line_of(drive, _NEAR_PIXELS / (_DPI * inch_per_m)))
     _draw_key(figure, axes, shown, inch_per_m)
     with warnings.catch_warnings():
         # A title in a script that the font lacks is drawn as boxes; that is no reason to bother anyone.
@@ -57,6 +59,9 @@ def draw_map(path: Path, grid: Grid, path_world: Float[ndarray, "poses _"], titl
 
 _MAP_INCHES, _KEY_INCHES, _TITLE_LENGTH = 8.0, 6.4, 72
 """Longer side of the map, width of the key below it, letters of a title that fit above it."""
+
+_DPI, _NEAR_PIXELS = 150, 0.25
+"""Of the picture; how far the line that is drawn may be from the drive."""
 
 
 def _draw_cells(
@@ -77,6 +82,11 @@ def _set_ticks(axes: "Axes", size: Float[ndarray, "2"], inch_per_m: float) -> No
     for axis, inches in zip((axes.xaxis, axes.yaxis), size, strict=True):
         spacing = min(1.0, max(inches / 2, 0.45))
         axis.set_major_locator(MultipleLocator(_round_length(spacing / inch_per_m)))
+
+
+def _box(points: Float[ndarray, "n 2"]) -> list[Float[ndarray, "2"]]:
+    """Lowest x, y and highest x, y of points; nothing of none."""
+    return [points.min(axis=0), points.max(axis=0)] if len(points) else []
 
 
 def _draw_drive(axes: "Axes", drive: Float[ndarray, "poses 2"]) -> None:
@@ -133,11 +143,3 @@ def _image(part: Grid) -> tuple[Float[ndarray, "rows cols"], Float[ndarray, "2"]
 
 _MAX_PICTURE_CELLS = 1200
 """Cells along the longer side of the picture; about its pixels."""
-
-
-def _thinned(path: Float[ndarray, "poses 2"]) -> Float[ndarray, "fewer 2"]:
-    """At most some 2000 poses, the first and the last among them: more cannot be told apart in a picture."""
-    path = path[np.isfinite(path).all(axis=1)]
-    if not len(path):
-        return path
-    return np.vstack([path[:: -(-len(path) // 2000)], path[-1:]])

@@ -1,12 +1,10 @@
 """A drive and its map as a recording of ROS 2: one MCAP file that Foxglove, RViz, ros2 bag and rosbags read."""
 
 import os
-import shutil
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
 from math import floor, hypot
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import NamedTuple
 
@@ -19,13 +17,14 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.stores import ros2_jazzy as ros
 
 from echogrid.errors import UsageError
-from echogrid.files import replacing, unwritable
+from echogrid.files import place_of, unwritable
 from echogrid.frame import Frame
 from echogrid.geometry import compose, inverse
 from echogrid.grid import Grid
 from echogrid.output.follower import Pace
 from echogrid.output.map_server_file import occupancy
 from echogrid.robot import Robot
+from echogrid.temporary import beside
 
 MAP_FRAME, ROBOT_FRAME = "map", "base_link"
 """Names of frames, by ROS's REP 105."""
@@ -130,10 +129,9 @@ class Recorder:
 
     def __enter__(self) -> "Recorder":
         with ExitStack() as stack, self._writing():
-            home = Path(os.path.realpath(self.path)).parent
-            folder = stack.enter_context(TemporaryDirectory(prefix=f".{self.path.stem}.", dir=home))
+            folder = stack.enter_context(beside(place_of(self.path), folder=True))
             # Version 8 is the last whose quality of service both Humble and later releases read.
-            self._writer = Writer(Path(folder) / "bag", version=8, storage_plugin=StoragePlugin.MCAP)
+            self._writer = Writer(folder / "bag", version=8, storage_plugin=StoragePlugin.MCAP)
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
             self._map = self._topic("/map", ros.nav_msgs__msg__OccupancyGrid.__msgtype__, latched=True)
@@ -152,8 +150,7 @@ class Recorder:
             self._writer.__exit__(kind, error, trace)
             if kind is None:
                 (written,) = self._writer.path.glob("*.mcap")
-                with replacing(self.path) as new:
-                    shutil.move(written, new)
+                os.replace(written, place_of(self.path))
 
     def add(self, frame: Frame) -> None:
         """Write a frame: where the robot and its sonars are, and what they read.

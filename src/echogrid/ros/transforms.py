@@ -108,6 +108,9 @@ class Transforms:
 
     def __init__(self) -> None:
         self._edges: dict[str, _Edge] = {}
+        self._before: dict[str, str] = {}
+        self.in_turn: dict[str, tuple[str, str, int]] = {}
+        """Frames that are told in two parents in turn: both parents, and how often a frame came back to one."""
 
     def put(
         self,
@@ -147,12 +150,16 @@ class Transforms:
         if edge is None or edge.parent != parent or edge.static != static or edge.weak != weak:
             if edge is not None and weak and edge.static:
                 return self._put_at_root(parent, child, stamp, translation, rotation)
-            if edge is not None and ((weak and not edge.weak) or (static and not edge.static)):
+            # Odometry of a frame that hangs on another by what is static is that of the other.
+            hangs = static and edge is not None and edge.weak and edge.parent != parent
+            if edge is not None and ((weak and not edge.weak) or (static and not edge.static and not hangs)):
                 return None
             if edge is None and len(self._edges) >= MAX_FRAMES:
                 return f"a transform of frame number {MAX_FRAMES + 1}"
             if (edge is None or edge.parent != parent) and child in self.line(parent):
                 return "a transform that closes a circle"
+            if edge is not None and edge.parent != parent and not static:
+                self._note_turn(child, edge.parent, parent)
             edge = self._edges[child] = _Edge(parent, static, weak, stands_still(child))
         tx, ty, tz = translation
         edge.put(float(stamp), Rigid((tx, ty, tz), (x / norm, y / norm, z / norm, w / norm)))
@@ -162,14 +169,28 @@ class Transforms:
         self, parent: str, child: str, stamp: float, translation: Sequence[float], rotation: Sequence[float]
     ) -> str | None:
         """Take odometry of a frame that hangs on another, as base_link on base_footprint, for that of the other."""
-        root = self.line(child)[-1]
-        below = None if self.moves(child, root) or root == parent else self.rigid(child, root, stamp)
+        carried = self._carried(child)
+        root = carried[-1]
+        below = None if parent in carried else self.rigid(child, root, stamp)
         if below is None:
             return None
         x, y, z = translation
         qx, qy, qz, qw = rotation
         pose = compose(Rigid((x, y, z), (qx, qy, qz, qw)), below)
         return self.put(parent, root, stamp, pose.translation, pose.rotation, weak=True)
+
+    def _carried(self, frame: str) -> list[str]:
+        """A frame and those that it hangs on by what is static, up to the one that moves."""
+        line = self.line(frame)
+        still = (
+            number for number, name in enumerate(line) if name not in self._edges or not self._edges[name].static
+        )
+        return line[: next(still, len(line) - 1) + 1]
+
+    def _note_turn(self, child: str, old: str, new: str) -> None:
+        if self._before.get(child) == new:
+            self.in_turn[child] = old, new, self.in_turn.get(child, ("", "", 0))[2] + 1
+        self._before[child] = old
 
     def still(self) -> "Transforms":
         """A copy with those transforms alone that do not change with time."""

@@ -9,6 +9,7 @@ from numpy import ndarray
 from scipy import ndimage, sparse
 
 from echogrid.errors import InputError, UsageError
+from echogrid.files import read_text
 from echogrid.geometry import wrap
 from echogrid.grid import MAX_CELLS
 from echogrid.metrics import Truth
@@ -51,12 +52,7 @@ def read_waypoints(path: str | Path) -> Float[ndarray, "n 2"]:
     Raises:
         InputError: the message names the line.
     """
-    try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
-    except UnicodeDecodeError:
-        raise InputError(path, "bytes that are not UTF-8 text", "lines of x,y") from None
-    except OSError as error:
-        raise InputError(path, error.strerror or "an unreadable file", "a file of x,y lines") from None
+    lines = read_text(Path(path), "a file of x,y lines").splitlines()
     points = []
     for number, line in enumerate(lines, start=1):
         text = line.split("#")[0].strip()

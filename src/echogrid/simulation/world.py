@@ -3,6 +3,7 @@
 Worlds are plane. A wall is a straight piece with two reflecting sides and no thickness.
 """
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,6 +15,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from echogrid.errors import InputError, UsageError
+from echogrid.files import read_text
 from echogrid.simulation.targets import Corner, Cylinder, Edge, Plane
 from echogrid.yaml_keys import Keys, as_number, parse_yaml, shown
 
@@ -37,6 +39,9 @@ class World:
     """x, y, radius, m."""
     start: tuple[float, float] | None = None
     """A point of the free space in which drives run, m."""
+
+    def __repr__(self) -> str:
+        return f"World({self.name!r}, {len(self.walls)} walls, {len(self.cylinders)} cylinders)"
 
     def with_walls(self, kind: str) -> "World":
         """The same world with all walls ``smooth`` or ``rough``, or ``as-given``.
@@ -161,14 +166,9 @@ class World:
             source = resources.files("echogrid") / "worlds" / f"{name_or_file}.yaml"
             return parse_world(source.read_text(encoding="utf-8"), str(name_or_file))
         path = Path(name_or_file)
-        try:
-            return parse_world(path.read_text(encoding="utf-8"), str(path))
-        except FileNotFoundError:
-            raise UsageError(f"world: found {path}, expected a file or one of {', '.join(shipped)}") from None
-        except UnicodeDecodeError:
-            raise InputError(path, "bytes that are not UTF-8 text", "a world file (YAML)") from None
-        except OSError as error:
-            raise InputError(path, error.strerror or "an unreadable file", "a world file (YAML)") from None
+        if not os.path.lexists(path):
+            raise UsageError(f"world: found {path}, expected a file or one of {', '.join(shipped)}")
+        return parse_world(read_text(path, "a world file (YAML)"), str(path))
 
 
 def world_names() -> list[str]:

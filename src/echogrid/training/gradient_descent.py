@@ -159,6 +159,8 @@ def _write_arrays(path: Path, key: str, arrays: Sequence[ndarray | Array]) -> No
 
 def _read_arrays(path: Path, key: str) -> list[ndarray] | None:
     """What was written under the same key; None: nothing, something else or a damaged file."""
+    if not path.is_file():  # to open a pipe would be to wait for ever
+        return None
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
             return [data[f"a{i}"] for i in range(len(data.files) - 1)] if str(data["key"]) == key else None

@@ -28,7 +28,7 @@ from echogrid.robot import Robot
 
 B21 = Robot.load("b21")
 PRIOR = 0.2
-POINT_LIKE = Robot("point", 0.0, B21.transducer, 0.1, 5.0, B21.beam_width_rad, B21.mounts[::6])
+POINT_LIKE = Robot("point", 0.0, B21.transducer, 0.0, 5.0, B21.beam_width_rad, B21.mounts[::6])
 """Four sonars and no body: no cell is under it."""
 
 

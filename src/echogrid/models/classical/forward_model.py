@@ -230,7 +230,15 @@ class _WholeLog(Fusion):
     def __init__(self, robot: Robot, model: ForwardModel, resolution: float):
         self.blank = {}
         self._model, self._resolution = model, resolution
+        self._made = False
         super().__init__(robot)
+
+    @override
+    def equip(self, robot: Robot) -> None:
+        super().equip(robot)
+        mounted = float(np.max(np.hypot(self.robot.mounts[:, 0], self.robot.mounts[:, 1])))
+        self._reach = mounted + self._model.reach_m + 2 * self._resolution
+        self.reach_cells = int(np.ceil(self._reach / self._resolution)) + 1
 
     @override
     def batches(self, frames: Iterable[Frame]) -> Iterator[Sequence[Frame]]:
@@ -240,11 +248,12 @@ class _WholeLog(Fusion):
 
     @override
     def read(self, batch: Sequence[Frame], filled: bool = False) -> Callable[[], Evidence]:
+        if self._made:
+            found = f"more scans for {self._model.name} after its map was made"
+            raise UsageError(f"map: found {found}, expected all scans at once, for it reads the log as a whole")
         poses, ranges = np.array([frame.pose for frame in batch]), np.array([frame.ranges for frame in batch])
-        mounted = float(np.max(np.hypot(self.robot.mounts[:, 0], self.robot.mounts[:, 1])))
-        reach = mounted + self._model.reach_m + 2 * self._resolution
-        low = np.floor((poses[:, 1::-1].min(axis=0) - reach) / self._resolution).astype(np.int64)
-        high = np.ceil((poses[:, 1::-1].max(axis=0) + reach) / self._resolution).astype(np.int64)
+        low = np.floor((poses[:, 1::-1].min(axis=0) - self._reach) / self._resolution).astype(np.int64)
+        high = np.ceil((poses[:, 1::-1].max(axis=0) + self._reach) / self._resolution).astype(np.int64)
         # Whether there is room for the map is known only when it is to be fused.
         return lambda: Evidence(low, high, (poses, ranges))
 
@@ -258,3 +267,4 @@ class _WholeLog(Fusion):
         cells = grown.window(evidence.corner, (rows, cols))
         cells["log_odds"][:] = np.where(stood, logit(P_MIN), self._model.settle(cones, stood))
         cells["observed"][:] = told | stood
+        self._made = True

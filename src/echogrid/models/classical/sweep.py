@@ -207,7 +207,7 @@ class _Sweep(Fusion):
         super().equip(robot)
         self._sweep = sweeper(robot, self._model, self._resolution)
         self._margin = margin_cells(robot, self._model, self._resolution)
-        self._side = round(WINDOW_M / self._resolution) + 2 * self._margin + 1
+        self.reach_cells = self._side = round(WINDOW_M / self._resolution) + 2 * self._margin + 1
 
     @override
     def read(self, batch: Sequence[Frame], filled: bool = False) -> Callable[[], Evidence]:

@@ -159,7 +159,7 @@ class _Patches(Fusion):
         self.blank = {"views": np.int32(0)[...]}
         self._model, self._resolution = model, resolution
         # Cells that hold all points among local centres, however the local map is turned.
-        self._side = int(np.ceil((LOCAL_CELLS - 1) * LOCAL_CELL_M * np.sqrt(2) / resolution)) + 2
+        self.reach_cells = self._side = int(np.ceil((LOCAL_CELLS - 1) * LOCAL_CELL_M * np.sqrt(2) / resolution)) + 2
         super().__init__(robot)
 
     @override

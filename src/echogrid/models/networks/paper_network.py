@@ -151,6 +151,9 @@ class Network(Interpreter):
     """How the weights were made."""
     name: str = "network"
 
+    def __repr__(self) -> str:
+        return f"Network({self.name!r}, {sum(np.size(part) for layer in self.layers for part in layer)} weights)"
+
     @property
     def zone(self) -> int:
         """Sonars that it reads for a point."""

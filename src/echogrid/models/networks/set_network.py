@@ -31,6 +31,9 @@ CAUTION = 0.8
 """Log-odds added to what the views say: to miss a wall is worse than to miss free floor. Training weighs both alike;
 this was chosen on development rooms, where it wipes about half as many walls."""
 
+MAX_UNITS = 2048
+"""Units of the widest network that is read."""
+
 SIZES = (1, 8, BATCH)
 """Batches of these sizes are compiled for: one scan alone is not to wait for many."""
 
@@ -55,6 +58,9 @@ class SetNetwork(Model):
 
     cell_m = 0.04
     """Fine enough that where a cell lies on a wall does not matter."""
+
+    def __repr__(self) -> str:
+        return f"SetNetwork({self.name!r}, {sum(np.size(value) for value in self.weights.values())} weights)"
 
     @override
     def told(self) -> dict[str, Any]:
@@ -95,7 +101,8 @@ class SetNetwork(Model):
             units = data["b1"].size
         except (KeyError, ValueError, RecursionError):
             recipe, units = None, 0
-        shapes = {name: value.shape for name, value in initial(np.random.default_rng(0), max(units, 1)).items()}
+        units = max(1, min(units, MAX_UNITS))  # more fit no file, but would fill the memory here
+        shapes = {name: value.shape for name, value in initial(np.random.default_rng(0), units).items()}
         fits = {name: value.shape for name, value in data.items()} == shapes
         if (
             not isinstance(recipe, dict)
@@ -126,6 +133,7 @@ class _Sums(Fusion):
         self.blank = dict.fromkeys(SUMS, np.float32(0)[...]) | {"views": np.int32(0)[...]}
         self._network, self._resolution, self._half_life = network, resolution, half_life
         self._side = int(np.ceil(2 * REACH_M / resolution)) + 2
+        self.reach_cells = self._side
         span = self._side + int(np.ceil(WINDOW_M / resolution)) + 1
         self._sizes = {"resolution": resolution, "side": self._side, "span": span}
         self._epoch, self._summed_epoch, self._now = -np.inf, -np.inf, -np.inf

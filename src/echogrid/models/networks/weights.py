@@ -1,6 +1,7 @@
 """Files of weights: arrays by name, their format, and the recipe that made them (NPZ, no pickle)."""
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,10 @@ from numpy import ndarray
 
 from echogrid.errors import InputError, UsageError
 from echogrid.files import replacing
+from echogrid.npz import open_npz
+
+MAX_BYTES = 2**26
+"""Of a weights file, as it lies there and unpacked; those that ship have 22 kB."""
 
 
 def write_weights(path: str | Path, form: str, recipe: dict[str, Any], arrays: dict[str, ndarray]) -> None:
@@ -25,13 +30,14 @@ def read_weights(path: str | Path, *formats: str) -> dict[str, ndarray]:
         UsageError: there is no file.
     """
     expected = f"a weights file ({' or '.join(formats)}, made by echogrid train)"
+    path = Path(path)
     try:
-        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
+        with open_npz(path, expected, MAX_BYTES) as data:
             arrays = {name: data[name] for name in data.files}
-    except FileNotFoundError:
-        raise UsageError(f"weights: found no file {path}, expected {expected}") from None
-    except Exception as error:  # numpy and zipfile raise many kinds for a damaged file
-        raise InputError(path, f"no such file content ({type(error).__name__})", expected) from None
+    except InputError as error:
+        if os.path.lexists(path):
+            raise
+        raise UsageError(f"weights: found no file {path}, expected {expected}") from error
     if str(arrays.get("format")) not in formats:
         raise InputError(path, f"format {str(arrays.get('format'))[:40]}", expected)
     return arrays
