@@ -1,8 +1,8 @@
 """The classical sensor models that keep a probability in each cell, or log-odds, one reading at a time.
 
 Where a source leaves a number open it is a field of the model, and its default was chosen by one search that is the
-same for all models (experiments/tune.py); ``reach_m`` and ``no_echo`` are such numbers of every model. No echo, where
-it is used, is a reading at the maximum range of which nothing came back. Formulas: docs/method.md.
+same for all models (experiments/paper/tune.py); ``reach_m`` and ``no_echo`` are such numbers of every model. No echo,
+where it is used, is a reading at the maximum range of which nothing came back. Formulas: docs/method.md.
 """
 
 from dataclasses import dataclass
