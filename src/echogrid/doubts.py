@@ -127,9 +127,9 @@ class Judge:
     def __init__(self, robot: Robot | None = None):
         """A new log; ``robot``: whose limits the readings are compared with."""
         self.motion = Motion()
-        self.frames = self.readings = self.echoes = self.invalid = self.short = self.past = 0
-        """Frames; readings that were fired, those with an echo, those that are not valid, too short, or past the
-        maximum range though something was measured."""
+        self.readings = self.echoes = self.short = self.past = 0
+        """Readings that were fired and valid; those with an echo, too short, or past the maximum range though
+        something was measured."""
         self._robot = robot
         self._last: Float[ndarray, "4"] | None = None
         self._where, self._batches = Whereabouts(), 0
@@ -159,7 +159,6 @@ class Judge:
             return
         self._batches += 1
         whole = self._batches <= _WHOLE or self._batches % _EVERY == 0 or not self.echoes
-        self.frames += len(rows)
         if whole:
             self._see_ranges(ranges)
         self._see_poses(rows, whole)
@@ -172,7 +171,6 @@ class Judge:
         self.past += int(np.count_nonzero(past)) - unheard
         self.short += int(np.count_nonzero(short))
         finite = int(np.count_nonzero(echo))
-        self.invalid += ranges.size - finite - unheard
         self.readings += finite + unheard
         heard = echo & ~past & ~short
         self.echoes += int(np.count_nonzero(heard))
@@ -224,7 +222,6 @@ class Judge:
 
     def _of_ranges(self) -> dict[str, int]:
         notes: dict[str, int] = {}
-        all_ = self.readings + self.invalid
         limits = self._robot is not None and self._robot.max_range_m
         if self.readings >= LEAST_READINGS and not self.echoes and not self.short:
             cause = f"all {self.past} that measured something lie past max_range {limits:g} m (the farthest at "
@@ -240,7 +237,7 @@ class Judge:
             share = f"{self.short / self.readings:.0%} of the readings are below min_range {low:g} m"
             notes[f"{share} and not used: are the ranges in m, is min_range right?"] = 0
         repeats = self._at_longest > max(REPEATED * self.echoes, 30) and np.mean(self._sonars_at) >= 0.5
-        if repeats and all_:
+        if repeats:
             value, often = f"{self._longest:g}", f"comes {self._at_longest} times exactly, from most sonars"
             remedy = f"if that is how the sensor says no echo, map with a robot file whose max_range_m is {value}"
             notes[f"the longest range, {value} m, {often}: {remedy}"] = 0

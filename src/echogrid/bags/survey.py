@@ -33,8 +33,6 @@ class Heard:
     """Readings of 0."""
     finite: int = 0
     """Ranges that are positive numbers."""
-    past: int = 0
-    """Of these, at or past the maximum of their message, if it says one."""
     below: int = 0
     """Of these, below the minimum."""
     ranges: Samples[float] = field(default_factory=Samples)
@@ -60,10 +58,8 @@ class Heard:
         self.no_echo += reading(event.range_m, *event.limits) == inf
         self.zeros += event.range_m == 0
         if 0 < event.range_m < inf:
-            low, high = event.limits
             self.finite += 1
-            self.past += 0 < high <= event.range_m
-            self.below += event.range_m < low
+            self.below += event.range_m < event.limits[0]
             self.ranges.add(event.range_m)
 
     @property

@@ -172,7 +172,7 @@ class LiveMap:
             # Always one scan, always with mounts: that is one program to compile, which takes seconds.
             mounts = robot.mounts if frame.mounts is None else frame.mounts
             try:
-                self._mapper.add([replace(frame, mounts=mounts, ranges=robot.clean(frame.ranges))])
+                self._mapper.add([replace(frame, mounts=mounts)])
             except UsageError:  # the map is as it was
                 self._refused["a scan whose stamp, pose or mounts cannot be"] += 1
                 continue
