@@ -100,3 +100,17 @@ def test_frames_are_read_once_and_no_more_than_a_few_batches_ahead():
     next(steps)
     assert len(given) <= 4 * BATCH
     del steps
+
+
+def test_a_model_that_works_in_turn_reads_no_batch_ahead():
+    given = []
+
+    def stream():
+        for each in MANY * 4:
+            given.append(each)
+            yield each
+
+    steps = build_map(stream(), POINT_LIKE, "cone")
+    next(steps)
+    assert len(given) == BATCH + 1
+    del steps

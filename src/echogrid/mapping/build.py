@@ -45,13 +45,14 @@ def build_map(
 
 
 def _steps(mapper: Mapper, frames: Iterable[Frame]) -> Iterator[Grid]:
+    ahead = WORKERS if mapper.side_by_side else 0
     with ThreadPoolExecutor(WORKERS) as pool:
         waiting: deque[Future[Evidence]] = deque()
         for batch in mapper.batches(frames):
             # Of one size, for a log is read in less time than another program is compiled.
             waiting.append(pool.submit(mapper.prepare(batch, filled=True)))
             # What comes before it is fused while it is interpreted.
-            if len(waiting) > WORKERS:
+            if len(waiting) > ahead:
                 mapper.fuse(waiting.popleft().result())
                 yield mapper.grid()
         while waiting:

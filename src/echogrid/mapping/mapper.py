@@ -59,6 +59,11 @@ class Mapper:
         """The robot that drives."""
         return self._fusion.robot
 
+    @property
+    def side_by_side(self) -> bool:
+        """Whether what ``prepare`` returns is worth working out side by side, see ``Fusion``."""
+        return self._fusion.side_by_side
+
     def equip(self, robot: Robot) -> None:
         """Go on with another array of sonars; the map stays, what was remembered of the surroundings does not."""
         check_robot(robot)

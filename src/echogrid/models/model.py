@@ -37,6 +37,8 @@ class Fusion(ABC):
 
     blank: Layers
     """Layers that its cells have besides those of every map, see ``GrowingGrid``."""
+    side_by_side: ClassVar[bool] = True
+    """Whether batches are worth working out side by side; not where the work is done in ``fuse``."""
     reach_cells: int = 0
     """How far, at most, the window of ``Evidence`` reaches past the places of the robot in its scans."""
 

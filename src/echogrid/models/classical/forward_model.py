@@ -227,6 +227,8 @@ def _whole(running: Float[ndarray, "pairs"], cones: Cones) -> Float[ndarray, "re
 class _WholeLog(Fusion):
     """The whole log is one batch."""
 
+    side_by_side = False
+
     def __init__(self, robot: Robot, model: ForwardModel, resolution: float):
         self.blank = {}
         self._model, self._resolution = model, resolution

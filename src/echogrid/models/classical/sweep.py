@@ -196,6 +196,8 @@ def _wrapped(angle: Array) -> Array:
 class _Sweep(Fusion):
     """Readings are taken into windows of the map that the drive passes."""
 
+    side_by_side = False
+
     def __init__(self, robot: Robot, model: ReadingModel, resolution: float):
         self._model, self._resolution = model, resolution
         self._layers = model.blank()
