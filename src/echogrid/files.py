@@ -3,6 +3,7 @@
 import os
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
+from importlib import resources
 from pathlib import Path
 
 from echogrid.errors import InputError, UsageError
@@ -114,6 +115,32 @@ def read_text(path: Path, expected: str) -> str:
         return read_bytes(path, expected, MAX_TEXT_BYTES).decode("utf-8")
     except UnicodeDecodeError:
         raise InputError(path, "bytes that are not UTF-8 text", expected) from None
+
+
+def shipped_names(folder: str) -> list[str]:
+    """Names of the YAML files in a folder of the package."""
+    inside = resources.files("echogrid") / folder
+    return sorted(entry.name.removesuffix(".yaml") for entry in inside.iterdir() if entry.name.endswith(".yaml"))
+
+
+def shipped_or_file(name_or_file: str | Path, folder: str, what: str) -> str:
+    """The text of a YAML file that ships in a folder of the package, or of one of the user's.
+
+    Args:
+        name_or_file: the name of one that ships, or a path.
+        folder: of the package.
+        what: it describes, for messages: robot, world.
+
+    Raises:
+        InputError: the file cannot be read.
+        UsageError: neither one that ships nor a file.
+    """
+    shipped = shipped_names(folder)
+    if str(name_or_file) in shipped:
+        return (resources.files("echogrid") / folder / f"{name_or_file}.yaml").read_text(encoding="utf-8")
+    if not os.path.lexists(name_or_file):
+        raise UsageError(f"{what}: found {name_or_file}, expected a file or one of {', '.join(shipped)}")
+    return read_text(Path(name_or_file), f"a {what} file (YAML)")
 
 
 def printable(path: Path) -> str:

@@ -1,8 +1,6 @@
 """Robots and their transducers: what they are, and the YAML files that describe them."""
 
-import os
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +9,8 @@ import yaml
 from jaxtyping import Float
 from numpy import ndarray
 
-from echogrid.errors import InputError, UsageError
-from echogrid.files import read_text
+from echogrid.errors import InputError
+from echogrid.files import shipped_names, shipped_or_file
 from echogrid.yaml_keys import Keys, parse_yaml, shown
 
 MAX_SONARS = 512
@@ -90,21 +88,18 @@ class Robot:
             InputError: the file is wrong; the message names the key.
             UsageError: neither a preset nor a file.
         """
-        presets = preset_names()
-        if str(name_or_file) in presets:
-            source = resources.files("echogrid") / "robots" / f"{name_or_file}.yaml"
-            return parse_robot(source.read_text(encoding="utf-8"), str(name_or_file))
-        path = Path(name_or_file)
-        if not os.path.lexists(path):
-            raise UsageError(f"robot: found {name_or_file!s}, expected a file or one of {', '.join(presets)}")
-        text = read_text(path, "a robot file (YAML)")
-        return parse_robot(text, str(path))
+        return parse_robot(shipped_or_file(name_or_file, "robots", "robot"), str(Path(name_or_file)))
 
 
 def preset_names() -> list[str]:
     """Names of the robots that ship with the package."""
-    folder = resources.files("echogrid") / "robots"
-    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+    return shipped_names("robots")
+
+
+def presets_with(sonars: int) -> str:
+    """The presets with so many sonars, as a message names them in brackets; empty if there is none."""
+    fits = [name for name in preset_names() if Robot.load(name).sonars == sonars]
+    return f" (presets with {sonars}: {', '.join(fits)})" if fits else ""
 
 
 def parse_robot(text: str, where: str) -> Robot:

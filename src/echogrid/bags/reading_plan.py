@@ -10,7 +10,7 @@ from echogrid.bags.mounts import described, placed
 from echogrid.bags.survey import Survey
 from echogrid.bags.units import units
 from echogrid.errors import InputError
-from echogrid.robot import Robot, preset_names
+from echogrid.robot import Robot, presets_with
 from echogrid.ros.messages import ODOMETRY, RANGE, TF, TF_OLD, Sonar, few, short
 from echogrid.ros.sonars import base_of, fixed_of
 from echogrid.ros.transforms import Transforms, stands_still
@@ -96,10 +96,8 @@ def planned(survey: Survey) -> Plan:
 
 def _no_places(survey: Survey) -> InputError:
     count, topic = len(survey.heard), survey.read.sonars[0]
-    fits = ", ".join(name for name in preset_names() if Robot.load(name).sonars == count)
-    known = f" (presets with {count}: {fits})" if fits else ""
     found = f"{count} sonars in {topic}, which does not say where they sit"
-    return InputError(survey.name, found, f"--robot with their places{known}")
+    return InputError(survey.name, found, f"--robot with their places{presets_with(count)}")
 
 
 def _base(survey: Survey, sonars: list[Sonar]) -> str:

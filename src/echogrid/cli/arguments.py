@@ -16,7 +16,7 @@ from echogrid.limits import HALF_LIFE, RESOLUTION
 from echogrid.logs.formats import load_log
 from echogrid.output.folder import drop_stale
 from echogrid.packed import compression_of
-from echogrid.robot import Robot, preset_names
+from echogrid.robot import Robot, presets_with
 from echogrid.ros.messages import Choice
 from echogrid.simulation.acoustics import Physics
 from echogrid.simulation.beam_patterns import BEAMS
@@ -54,11 +54,10 @@ def open_log(log_file: str | None, robot_name: str | None, choice: Choice | None
         return log, log.robot, True
     robot = Robot.load("b21")
     if log.sonars != robot.sonars:
-        fits = [name for name in preset_names() if Robot.load(name).sonars == log.sonars]
-        known = f" (presets with {log.sonars}: {', '.join(fits)})" if fits else ""
         packed = f" (unpacked by {kind})" if (kind := compression_of(Path(log_file))) else ""
         raise UsageError(
-            f"{log.name}: found {log.sonars} sonars{packed}, expected --robot to say where they sit{known}"
+            f"{log.name}: found {log.sonars} sonars{packed}, expected --robot to say where they sit"
+            f"{presets_with(log.sonars)}"
         )
     return load_log(log_file, robot), robot, False
 

@@ -31,7 +31,7 @@ from echogrid.frame import Frame, Log
 from echogrid.logs.lines import numbered, quoted, text_of
 from echogrid.logs.rows import Table, number_of, only_numbers
 from echogrid.robot import MAX_SONARS, TRANSDUCERS, Robot
-from echogrid.ros.transforms import JUMP_M, JUMP_RAD, JUMP_S
+from echogrid.ros.transforms import JUMP_S, moved
 
 MAX_HELD = 10_000
 """SONAR messages that may wait for an ODOM message; at 10 a second, a quarter of an hour."""
@@ -206,8 +206,7 @@ class _Track:
             return np.array([x, y, remainder(theta, tau)])
         start, end = self._stamps[after - 1], self._stamps[after]
         (x0, y0, theta0), (x1, y1, theta1) = self._poses[after - 1], self._poses[after]
-        moved = hypot(x1 - x0, y1 - y0) > JUMP_M or abs(remainder(theta1 - theta0, tau)) > JUMP_RAD
-        if end - start > JUMP_S and moved and start < stamp:
+        if end - start > JUMP_S and start < stamp and moved(self._poses[after - 1], self._poses[after]):
             return GAP
         share = (stamp - start) / (end - start)
         theta = theta0 + share * remainder(theta1 - theta0, tau)

@@ -8,7 +8,7 @@ way, as tf2 does.
 import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
-from math import hypot, isfinite, sqrt
+from math import hypot, isfinite, remainder, sqrt, tau
 
 import numpy as np
 from jaxtyping import Float
@@ -93,14 +93,15 @@ class _Edge:
             after -= 1  # what it did last it is taken to go on with
         start, end = stamps[after - 1], stamps[after]
         a, b = poses[after - 1], poses[after]
-        if end - start > JUMP_S and _moved(a, b):
+        if end - start > JUMP_S and moved(planar(a), planar(b)):
             return b if stamp > end else a if self.corrects else None
         return between(a, b, (stamp - start) / (end - start))
 
 
-def _moved(a: Rigid, b: Rigid) -> bool:
-    (x0, y0, yaw0), (x1, y1, yaw1) = planar(a), planar(b)
-    return hypot(x1 - x0, y1 - y0) > JUMP_M or abs((yaw1 - yaw0 + np.pi) % (2 * np.pi) - np.pi) > JUMP_RAD
+def moved(a: tuple[float, float, float], b: tuple[float, float, float]) -> bool:
+    """Whether two poses (m, m, rad) lie so far apart that none between them can be told if a gap of time does too."""
+    (x0, y0, yaw0), (x1, y1, yaw1) = a, b
+    return hypot(x1 - x0, y1 - y0) > JUMP_M or abs(remainder(yaw1 - yaw0, tau)) > JUMP_RAD
 
 
 class Transforms:

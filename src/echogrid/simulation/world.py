@@ -3,11 +3,9 @@
 Worlds are plane. A wall is a straight piece with two reflecting sides and no thickness.
 """
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +13,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from echogrid.errors import InputError, UsageError
-from echogrid.files import read_text
+from echogrid.files import shipped_names, shipped_or_file
 from echogrid.simulation.targets import Corner, Cylinder, Edge, Plane
 from echogrid.yaml_keys import Keys, as_number, parse_yaml, shown
 
@@ -161,20 +159,12 @@ class World:
             InputError: the file is wrong; the message names the key.
             UsageError: neither a shipped world nor a file.
         """
-        shipped = world_names()
-        if str(name_or_file) in shipped:
-            source = resources.files("echogrid") / "worlds" / f"{name_or_file}.yaml"
-            return parse_world(source.read_text(encoding="utf-8"), str(name_or_file))
-        path = Path(name_or_file)
-        if not os.path.lexists(path):
-            raise UsageError(f"world: found {path}, expected a file or one of {', '.join(shipped)}")
-        return parse_world(read_text(path, "a world file (YAML)"), str(path))
+        return parse_world(shipped_or_file(name_or_file, "worlds", "world"), str(Path(name_or_file)))
 
 
 def world_names() -> list[str]:
     """Names of the worlds that ship with the package."""
-    folder = resources.files("echogrid") / "worlds"
-    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+    return shipped_names("worlds")
 
 
 def polyline(
