@@ -18,7 +18,7 @@ PART, of which all are the default, each with tables on stdout and its numbers i
 - simulators: four simulators, two of them written apart from what the network was trained on.
 
 The model is `set-network` or what --model says; unless a part says otherwise, all models have its cells. --rooms sets
-the rooms of each kind (walls: orientations). No training and no other study has seen the rooms. Takes about 15
+the rooms of each kind (walls: orientations). No training and no other study has seen the rooms. Takes about 20
 minutes on 2 cores, no part more than 5.
 """
 
