@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from numpy import inf, nan
 
 from echogrid.live import hearing, live_map
-from echogrid.live.hearing import FAR_STAMP, LEAPS, Heard
+from echogrid.live.clocks import FAR_STAMP, LEAPS
+from echogrid.live.hearing import Heard
 from echogrid.live.live_map import Settings
 from echogrid.live.session import Live
 from echogrid.robot import MAX_SONARS
@@ -28,7 +29,7 @@ def test_late_and_repeated_readings_are_counted_and_not_mapped(drive):
 
 def test_one_stamp_of_another_clock_is_refused_and_many_are_a_clock_that_jumped(drive):
     drive.run(40)
-    drive.take(Heard.RANGE, "/s", range_of(2e9, "sonar_0", 3.0))
+    drive.take(Heard.RANGE, "/s0", range_of(2e9, "sonar_0", 3.0))
     drive.take(Heard.TF, "/tf", tf(transform(1.0, "odom", "base_link", 50, 50, 0)))
     drive.run(10)
     assert drive.live.refused[FAR_STAMP] == 2

@@ -34,11 +34,14 @@ def test_the_map_comes_once_a_second_if_it_changed_and_the_local_map_after_each_
 
 def test_a_pose_far_off_does_not_make_the_map_grow(drive):
     drive.run(40)
-    drive.pose(x=1e6)
-    drive.ranges([1.0] * 4)
-    drive.step()
-    drive.run(5)
+    for far in (400.0, 1e6):
+        drive.pose(x=far, y=far)
+        drive.ranges([1.0] * 4)
+        drive.step()
+        drive.run(5)
     assert drive.live.refused == {"a pose so far off that the map would become too large": 1}
+    left_out = "a scan left out: its pose is where no robot can have got to"
+    assert drive.live.snapshot().settings["notes"][left_out] == 1
     poses = np.array([frame.pose[:2] for frame in drive.frames])
     assert np.prod((np.ptp(poses, axis=0) + 8) / 0.04) < MAX_CELLS
 

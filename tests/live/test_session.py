@@ -23,7 +23,7 @@ def test_readings_of_one_scan_in_any_order_are_one_scan(drive):
     drive.run(40)
     drive.pose(x=0.1 * drive.time)
     for i in (3, 0, 2, 1):
-        drive.take(Heard.RANGE, "/s", range_of(START_S + drive.time - 0.001 * i, f"sonar_{i}", 1.0))
+        drive.take(Heard.RANGE, f"/s{i}", range_of(START_S + drive.time - 0.001 * i, f"sonar_{i}", 1.0))
     drive.step()
     assert len(drive.frames) == 41
     np.testing.assert_array_equal(drive.frames[-1].ranges, 1.0)
@@ -78,3 +78,13 @@ def test_scans_that_wait_are_mapped_before_a_sonar_joins(live):
     assert all(len(frame.ranges) == 3 for frame in before)
     assert all(len(frame.ranges) == 4 for frame in drive.frames)
     assert len(before) + len(drive.frames) == live.scans
+
+
+def test_a_drive_that_is_over_before_it_is_sure_that_all_sonars_were_heard_is_mapped(drive):
+    drive.run(8)
+    assert not drive.live.scans
+    for _ in range(40):  # nothing comes any more; the robot does not stop for that
+        drive.step()
+    assert drive.live.scans == 8
+    assert drive.pictures
+    assert any(notice.startswith("silent: ") for notice in drive.notices)

@@ -49,7 +49,7 @@ def test_map_is_preferred_and_the_user_chooses(recorded):
 
 def test_what_is_missing_is_said(live):
     assert live.status() == "heard no sensor_msgs/Range yet"
-    live.take(Heard.RANGE, "/s", range_of(START_S, "sonar_0", 1.0), 0.0)
+    live.take(Heard.RANGE, "/s0", range_of(START_S, "sonar_0", 1.0), 0.0)
     assert live.status() == "heard sonar_0, but no transform of them (/tf_static)"
     drive = Drive(live)
     assert "no pose of the robot" in live.status()

@@ -94,7 +94,7 @@ class Live:
             _say(f"domain {domain}, {self._where(interface, network)}; {self.map_topic}, {self.local_map_topic}")
             saver = _Saver(self.out, self.save_every)
             _map(mapping, network, saver, stop, interface or "the interfaces of CYCLONEDDS_URI")
-            saver.last(mapping)
+            saver.last(mapping, network)
         print(escaped(f"{mapping.scans} scans, {mapping.readings} readings; map in {self.out}/map.png"))
 
     def _check(self) -> int:
@@ -135,8 +135,7 @@ def _map(mapping: "Mapping", network: "Network", saver: "_Saver", stop: list[int
             mapping.take(heard, topic, message, now)
         for picture in mapping.step(now):
             network.send(picture)
-        for notice in mapping.notices():
-            _say(notice)
+        _tell(mapping)
         saver.step(mapping, now)
         if now >= status_due:
             status_due = now + STATUS_S
@@ -147,12 +146,21 @@ def _map(mapping: "Mapping", network: "Network", saver: "_Saver", stop: list[int
     for heard, topic, message in network.take():
         mapping.take(heard, topic, message, time.monotonic())
     mapping.finish()
+    _tell(mapping)
+
+
+def _tell(mapping: "Mapping") -> None:
+    for notice in mapping.notices():
+        _say(notice)
 
 
 def _status(mapping: "Mapping", network: "Network", where: str) -> str:
     if not network.ranges:
         return f"no topic of sensor_msgs/Range on {where} (--interface, --domain, --topics choose others)"
-    return mapping.status() + "".join(f"; {n} x {reason}" for reason, n in network.refused.most_common(3))
+    lack = [] if mapping.scans else network.lack()
+    return "; ".join([mapping.status(), *lack]) + "".join(
+        f"; {n} x {reason}" for reason, n in network.refused.most_common(3)
+    )
 
 
 class _Saver:
@@ -186,15 +194,17 @@ class _Saver:
         # A figure is a circle of objects that hold arrays: left to itself Python would find it many maps later.
         gc.collect()
 
-    def last(self, mapping: "Mapping") -> None:
+    def last(self, mapping: "Mapping", network: "Network") -> None:
         """Save the finished map."""
         if self._thread is not None:
             self._thread.join()
         snapshot = mapping.snapshot()
         if snapshot is None:
-            refused = mapping.refused.most_common(1)
-            because = f" ({refused[0][1]} x {refused[0][0]})" if refused else ""
-            raise UsageError(f"live: found no scan to map{because}, expected sensor_msgs/Range with tf or odometry")
+            because = "; ".join([mapping.status(), *network.lack()])
+            raise UsageError(
+                f"live: found no scan to map ({because}), expected sensor_msgs/Range with tf or odometry"
+            )
+        mapping.refuse_nothing()
         _write(self._folder, snapshot)
 
 

@@ -46,6 +46,7 @@ from echogrid.live.dds_types import (
 from echogrid.live.hearing import Heard
 from echogrid.live.live_map import Picture
 from echogrid.live.sockets import keep_to, open_sockets
+from echogrid.live.tf_topics import TfTopics
 from echogrid.robot import MAX_SONARS
 from echogrid.ros.messages import Choice
 
@@ -69,7 +70,8 @@ STATIC_QOS = Qos(
     Policy.Durability.TransientLocal,
     Policy.History.KeepLast(_DEPTH),
 )
-"""To hear /tf_static, sent once, as ROS 2 sends it."""
+"""To hear /tf_static, sent once, as ROS 2 sends it. Writers that keep nothing match ``SENSOR_QOS`` alone, so it is
+heard at both qualities; what comes twice is the same."""
 
 MAP_QOS = Qos(
     Policy.Reliability.Reliable(max_blocking_time=100_000_000),
@@ -90,6 +92,8 @@ _FOUND_BY_TYPE: dict[str, tuple[Heard, Any, int]] = {
     "nav_msgs::msg::dds_::Odometry_": (Heard.ODOMETRY, Odometry, 16),
 }
 """Types whose topics are looked for: what they are, how they are read, and how many topics there may be."""
+
+_TF = "tf2_msgs::msg::dds_::TFMessage_"
 
 
 @dataclass(frozen=True)
@@ -160,7 +164,8 @@ class Network:
         self.kept = False
         """Whether the kernel lets nothing in but through the interface that was named."""
         self._choice = choice
-        self._readers: dict[tuple[str, type], _Reader] = {}
+        self._readers: dict[tuple[str, type, str], _Reader] = {}
+        self._tf = TfTopics()
         self._held: list[tuple[int, Heard, str, Any]] = []
         sent = [dds_topic(name) for name in (map_topic, local_topic)]
         before = open_sockets()
@@ -181,19 +186,25 @@ class Network:
         self._waitset = WaitSet(self._participant)
         self._discovery = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
         # Transforms first: a range that comes with them finds its pose.
-        self._listen("rt/tf_static", TFMessage, STATIC_QOS, Heard.STATIC)
-        self._listen("rt/tf", TFMessage, SENSOR_QOS, Heard.TF)
+        for name in ("/tf_static", "/tf"):
+            self._listen_to_tf(name)
         self._map, self._local = (
             DataWriter(self._participant, Topic(self._participant, name, OccupancyGrid), qos)
             for name, qos in zip(sent, (MAP_QOS, LOCAL_MAP_QOS), strict=True)
         )
 
     def _listen(self, name: str, kind: Any, qos: Qos, heard: Heard) -> None:
-        if (name, kind) not in self._readers:
+        key = name, kind, str(qos[Policy.Durability])
+        if key not in self._readers:
             reader = DataReader(self._participant, Topic(self._participant, name, kind), qos)
             condition = ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.NotRead)
             self._waitset.attach(condition)
-            self._readers[name, kind] = _Reader(reader, condition, heard, name.removeprefix("rt"))
+            self._readers[key] = _Reader(reader, condition, heard, name.removeprefix("rt"))
+
+    def _listen_to_tf(self, topic: str) -> None:
+        static = topic.endswith("/tf_static")
+        for qos in (STATIC_QOS, SENSOR_QOS) if static else (SENSOR_QOS,):
+            self._listen(f"rt{topic}", TFMessage, qos, Heard.STATIC if static else Heard.TF)
 
     def _topics(self, heard: Heard) -> list[str]:
         return sorted({reader.topic for reader in self._readers.values() if reader.heard is heard})
@@ -228,7 +239,8 @@ class Network:
         return [(heard, topic, sample) for _, heard, topic, sample in found]
 
     def discover(self) -> None:
-        """Listen to the topics of ranges and odometry that have got a writer."""
+        """Listen to the topics of ranges, odometry and transforms that have got a writer."""
+        before, new = self.ranges, False
         try:
             endpoints = self._discovery.take(_DEPTH)
         except Exception:  # the description of an endpoint comes from strangers too
@@ -237,6 +249,25 @@ class Network:
         for endpoint in endpoints:
             if endpoint.type_name in _FOUND_BY_TYPE and endpoint.topic_name:
                 self._follow(endpoint.topic_name, *_FOUND_BY_TYPE[endpoint.type_name], endpoint.type_id is not None)
+            elif endpoint.type_name == _TF and endpoint.topic_name:
+                new |= self._find_tf(endpoint.topic_name, endpoint.qos)
+        if not new and before == self.ranges:  # while topics turn up it is not known whose transforms are wanted
+            try:
+                for topic in self._tf.wanted(self.ranges):
+                    self._listen_to_tf(topic)
+            except DDSException:
+                self.refused["topics that cannot be listened to"] += 1
+
+    def _find_tf(self, name: str, qos: Qos) -> bool:
+        """Take note of a topic of transforms; whether it is new."""
+        topic = name.removeprefix("rt")
+        with suppress(UsageError):
+            return name == dds_topic(topic) and self._tf.add(topic, Policy.Durability.Volatile in qos)
+        return False
+
+    def lack(self) -> list[str]:
+        """Why transforms may be missing, where they are: what is to be said of it."""
+        return self._tf.lack(self.ranges)
 
     def _follow(self, name: str, heard: Heard, kind: Any, most: int, typed: bool) -> None:
         topic = name.removeprefix("rt")

@@ -7,23 +7,22 @@ not taken is counted by reason.
 from collections import Counter, deque
 from enum import Enum
 from itertools import islice
-from math import inf, isfinite, nan
+from math import inf, isfinite, isnan
+from operator import itemgetter
 from typing import Any
 
+from echogrid.live.clocks import FAR_STAMP, NO_STAMP, Clock, Stamps, whole
 from echogrid.live.sonar_array import SonarArray, SonarSaid
 from echogrid.robot import MAX_SONARS
-from echogrid.ros.messages import seconds
 from echogrid.ros.sonars import beam_width, reading
-from echogrid.ros.transforms import Transforms
+from echogrid.ros.transforms import Transforms, stands_still
 
 SETTLE_S, LONGEST_S = 2.0, 10.0
-"""Mapping begins when no further sonar was heard for so long, and after so long anyhow, by the readings' stamps."""
+"""Mapping begins when no further sonar was heard for so long, and after so long anyhow. By the caller's clock: a
+robot's stamps may go faster, or stand."""
 
-LEAP_S = 10.0
-"""A stamp farther than this from the newest is not of the same clock."""
-
-LEAPS = 20
-"""Messages in a row with stamps of another clock, after which that one is taken for the robot's."""
+SECONDS = 5
+"""Readings of a second topic in the frame of a sonar, after which that is no frame of one sonar."""
 
 MAX_WAITING = 50_000
 """Readings kept until the array is known."""
@@ -37,7 +36,10 @@ MAX_TRANSFORMS = 2_000
 MAX_NAME = 200
 """Letters in the name of a frame."""
 
-FAR_STAMP = "a stamp far from those of the others"
+_BEYOND = 1.2
+"""How many times the maximum range is past it by far."""
+
+SECOND_TOPIC = "a reading of a second topic in the frame of another"
 
 
 class Heard(Enum):
@@ -53,32 +55,6 @@ class _Refusal(Exception):  # noqa: N818 - no error of the user's
     """A message is not taken; the text says why."""
 
 
-class _Clock:
-    """Tells stamps of the robot's clock from others."""
-
-    def __init__(self) -> None:
-        self.newest = nan
-        """Stamp, s; nan: none yet."""
-        self._other, self._apart = nan, 0
-
-    def admit(self, stamp: float) -> bool:
-        """Whether a stamp (s) is of a clock that has jumped.
-
-        Raises:
-            _Refusal: it is far from the others.
-        """
-        if not isfinite(self.newest) or abs(stamp - self.newest) <= LEAP_S:
-            self.newest = stamp if not isfinite(self.newest) else max(self.newest, stamp)
-            self._apart = 0
-            return False
-        self._apart = self._apart + 1 if abs(stamp - self._other) <= LEAP_S else 1
-        self._other = stamp
-        if self._apart < LEAPS:
-            raise _Refusal(FAR_STAMP)
-        self.newest, self._apart = stamp, 0
-        return True
-
-
 class Hearing:
     """Transforms and sonars heard so far; readings go on to the array of sonars as soon as there is one."""
 
@@ -89,9 +65,13 @@ class Hearing:
             refused: where it is counted what is not taken, by reason.
         """
         self.transforms = Transforms()
-        self.clock = _Clock()
+        self.clock = Clock()
+        self.stamps = Stamps(self.clock)
         self.sonars: dict[str, SonarSaid] = {}
         """By their frames."""
+        self.shared: dict[str, set[str]] = {}
+        """Frames of sonars that readings come in on several topics, and those topics."""
+        self._second: Counter[str] = Counter()
         self.readings = 0
         """How many the array took."""
         self.newest = -inf
@@ -116,20 +96,26 @@ class Hearing:
         """
         try:
             if heard is Heard.RANGE:
-                self._take_range(message, now)
+                self._take_range(topic, message, now)
             elif heard is Heard.ODOMETRY:
-                self._take_odometry(topic, message)
+                self._take_odometry(topic, message, now)
             else:
-                self._take_transforms(message, heard is Heard.STATIC)
+                self._take_transforms(message, heard is Heard.STATIC, now)
         except _Refusal as refusal:
             self._refused[str(refusal)] += 1
         except Exception:  # strangers decide what is in it
             self._refused[f"a message that is no {heard.value}"] += 1
 
+    def settled(self, now: float) -> bool:
+        """Whether the sonars that were heard are likely to be all there are, by the caller's clock (s)."""
+        if now - self._first >= LONGEST_S:
+            return True
+        return bool(self.sonars) and now - self._grew >= SETTLE_S and not self.stamps.doubtful
+
     @property
-    def settled(self) -> bool:
-        """Whether the sonars that were heard are likely to be all there are."""
-        return self.newest - self._grew >= SETTLE_S or self.newest - self._first >= LONGEST_S
+    def apart(self) -> dict[str, SonarSaid]:
+        """Sonars by their frames, but for those whose frame is that of several topics."""
+        return {name: each for name, each in self.sonars.items() if name not in self.shared}
 
     def tidy(self) -> None:
         """Forget sonars of no place where there are too many: made-up names must not keep others out."""
@@ -148,31 +134,32 @@ class Hearing:
         elif array.scans.add(array.numbers[frame], stamp, range_m) is None:
             self.readings += 1
 
-    def _take_transforms(self, message: Any, static: bool) -> None:
+    def _take_transforms(self, message: Any, static: bool, now: float) -> None:
         for each in islice(message.transforms, MAX_TRANSFORMS):
             try:
                 parent, child = _name(each.header.frame_id), _name(each.child_frame_id)
                 place, turn = each.transform.translation, each.transform.rotation
-                self._put(parent, child, each.header, place, turn, static=static)
+                self._put(parent, child, each.header, place, turn, now, static=static)
             except _Refusal as refusal:
                 self._refused[str(refusal)] += 1
 
-    def _take_odometry(self, topic: str, message: Any) -> None:
+    def _take_odometry(self, topic: str, message: Any, now: float) -> None:
         parent, child = _name(message.header.frame_id or "odom"), _name(message.child_frame_id or "base_link")
         # Two that know better than each other would make the robot jump to and fro.
         if len(self._odometry) >= MAX_SONARS or topic != self._odometry.setdefault(child, topic):
             raise _Refusal("odometry on a second topic")
         pose = message.pose.pose
-        self._put(parent, child, message.header, pose.position, pose.orientation, weak=True)
+        self._put(parent, child, message.header, pose.position, pose.orientation, now, weak=True)
 
-    def _put(self, parent: str, child: str, header: Any, place: Any, turn: Any, **kind: bool) -> None:
+    def _put(self, parent: str, child: str, header: Any, place: Any, turn: Any, now: float, **kind: bool) -> None:
         stamp = 0.0
         if not kind.get("static"):
             if self._array is not None and child not in self._array.line:
                 return  # of a joint or of somebody else
-            stamp = _stamp(header)
-            if self.clock.admit(stamp):
-                self._leap(stamp)
+            stamp = whole(header.stamp)
+            self._admit(stamp, pose=not stands_still(child))
+            if not stands_still(child):  # a correction, as of odom in map, may be dated ahead
+                self.stamps.pose(child, stamp, now)
             self._moves += 1
             if self._array is None and self._moves > MAX_MOVES:
                 self.transforms, self._moves = self.transforms.still(), 0
@@ -181,45 +168,81 @@ class Hearing:
         if reason is not None:
             raise _Refusal(reason)
 
-    def _take_range(self, message: Any, now: float) -> None:
+    def _admit(self, stamp: float, pose: bool) -> None:
+        if isnan(stamp):
+            raise _Refusal(NO_STAMP)
+        jumped = self.clock.admit(stamp, pose)
+        if jumped is None:
+            raise _Refusal(FAR_STAMP)
+        if jumped:
+            self._leap(stamp)
+
+    def _take_range(self, topic: str, message: Any, now: float) -> None:
         frame = _name(message.header.frame_id)
         limits = float(message.min_range), float(message.max_range)
-        value = reading(float(message.range), *limits)
-        stamp = _stamp(message.header)
+        raw = float(message.range)
+        value = reading(raw, *limits)
+        if frame in self.sonars and topic != self.sonars[frame].topic:
+            self._share(frame, topic)
+            raise _Refusal(SECOND_TOPIC)
+        stamp = self.stamps.reading(topic, frame, message.header.stamp, now)
         if stamp == 0.0:
             if not isfinite(self.clock.newest):
                 raise _Refusal("a reading without a stamp before any transform")
             stamp = self.clock.newest
-        if self.clock.admit(stamp):
-            self._leap(stamp)
+        self._admit(stamp, pose=False)
         self.last_range = now
-        self.newest, self._first = max(self.newest, stamp), min(self._first, stamp)
+        self.newest = max(self.newest, stamp)
+        if self._first == inf:
+            self._first = self._grew = now
         if frame not in self.sonars:
             if len(self.sonars) >= MAX_SONARS:
                 raise _Refusal(f"a reading of sonar number {MAX_SONARS + 1}")
-            self.sonars[frame] = SonarSaid(beam_width(float(message.field_of_view)), limits)
-            self._grew = stamp
+            self.sonars[frame] = SonarSaid(beam_width(float(message.field_of_view)), limits, topic)
+            self._grew = now
+        if limits == self.sonars[frame].limits and _outside(raw, *limits):
+            value = raw  # the array has the same limits; whoever judges the readings wants to know
         if self._array is None:
             self._waiting.append((frame, stamp, value))
         else:
             self._hand_on(self._array, frame, stamp, value)
+
+    def bring_together(self) -> None:
+        """Take readings by the robot's clock that are of another one, as far as that is known."""
+        shifts = self.stamps.compare(self._array.line if self._array else None)
+        if not shifts:
+            return
+        ahead = {name: shifts.get(said.topic, 0.0) for name, said in self.sonars.items()}
+        waiting = [(name, stamp - ahead.get(name, 0.0), value) for name, stamp, value in self._waiting]
+        self._waiting.clear()
+        self._waiting.extend(sorted(waiting, key=itemgetter(1)))
+        self.newest = min(self.newest, self.clock.newest)
+        if self._array is not None:  # what it gathered, and when it heard them last, is by the other clock
+            self._refused.update(self._array.scans.dropped)
+            self._array.begin(self.transforms)
+
+    def _share(self, frame: str, topic: str) -> None:
+        """Take note that the frame of a sonar is that of another topic too."""
+        self._second[frame] += 1
+        if self._second[frame] >= SECONDS:  # one alone may be anybody's
+            topics = self.shared.setdefault(frame, {self.sonars[frame].topic})
+            if len(topics) < MAX_SONARS:
+                topics.add(topic)
 
     def _leap(self, stamp: float) -> None:
         """The robot's clock has jumped to a stamp: nothing waits for what was before."""
         self._refused["a clock that jumped"] += 1
         self.transforms, self._moves = self.transforms.still(), 0
         self._waiting.clear()
-        self.newest = self._grew = self._first = stamp
+        self.newest, self._first = stamp, inf
         if self._array is not None:
             self._refused.update(self._array.scans.dropped)
             self._array.begin(self.transforms)
 
 
-def _stamp(header: Any) -> float:
-    sec, nanosec = int(header.stamp.sec), int(header.stamp.nanosec)
-    if sec < 0 or not 0 <= nanosec < 10**9 or sec > 2**32:
-        raise _Refusal("a stamp that cannot be")
-    return seconds(header.stamp)
+def _outside(range_m: float, low: float, high: float) -> bool:
+    """Whether something was measured well outside of a sonar's limits (all m); no echo may be sent as the maximum."""
+    return 0 < range_m < low or 0 < high < range_m / _BEYOND < inf
 
 
 def _name(name: str) -> str:

@@ -1,6 +1,7 @@
 """The map of a robot that drives: scans go in as they are complete, pictures of it come out when they are due."""
 
 from collections import Counter, deque
+from collections.abc import Iterable
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from math import inf, nan
@@ -10,10 +11,12 @@ import numpy as np
 from jaxtyping import Float, Int8
 from numpy import ndarray
 
-from echogrid.errors import UsageError
+from echogrid.doubts import Judge, Whereabouts
+from echogrid.errors import InputError, UsageError
 from echogrid.frame import Frame
 from echogrid.grid import Grid
 from echogrid.live.sonar_array import SonarArray
+from echogrid.live.telling import in_live
 from echogrid.mapping.mapper import Mapper
 from echogrid.models.networks.set_network import SetNetwork
 from echogrid.output.map_server_file import occupancy
@@ -32,6 +35,9 @@ _REACH_M = 8.0
 
 MAX_READY = 5_000
 """Scans that wait to be mapped."""
+
+_BATCH = 32
+"""Scans that are judged together."""
 
 AT_ONCE = 10
 """Scans that are mapped before it is looked again what has come."""
@@ -103,6 +109,10 @@ class LiveMap:
         self.array, self._network, self._settings, self._refused = array, network, settings, refused
         self._mapper = Mapper(array.robot, network, settings.resolution, settings.half_life)
         self._compile(stamp)
+        self._judge, self._whereabouts = Judge(array.robot), Whereabouts()
+        self._unjudged: list[Frame] = []
+        self._notes: dict[str, int] = {}
+        self._valid = False
         self._low, self._high = np.full(2, inf), np.full(2, -inf)
         self._path = Track()
         self._ready: deque[Frame] = deque()
@@ -121,6 +131,7 @@ class LiveMap:
             stamp: about when its first scan will be, s.
         """
         self._mapper.equip(self.array.robot)
+        self._notes, self._judge = self.notes(), Judge(self.array.robot)
         self._compile(stamp)
 
     @property
@@ -151,10 +162,35 @@ class LiveMap:
 
     def _gather(self, reach: float, final: bool = False) -> None:
         for frame in self.array.scans.frames(reach, final):
+            self._unjudged.append(frame)
+            if len(self._unjudged) >= _BATCH:
+                self._see()
+            if not self._whereabouts.takes(frame.stamp, *frame.pose[:2].tolist()):
+                continue  # the judge tells of it
+            frame = replace(frame, ranges=self.array.clean(frame.ranges))
+            self._valid |= not np.isnan(frame.ranges).all()
             if len(self._ready) >= MAX_READY:
                 self._refused["a scan too many to keep up with"] += 1
             elif self._fits(frame.pose):
                 self._ready.append(frame)
+
+    def _see(self) -> None:
+        """Have scans judged."""
+        if self._unjudged:
+            columns = zip(*((frame.stamp, frame.pose, frame.ranges) for frame in self._unjudged), strict=True)
+            self._judge.see(*(np.array(column, dtype=float) for column in columns))
+            self._unjudged.clear()
+
+    def notes(self) -> dict[str, int]:
+        """What is doubtful about the scans so far, and how often."""
+        self._see()
+        return self._notes | {in_live(note): count for note, count in self._judge.notes().items()}
+
+    def refuse_nothing(self) -> None:
+        """Raise an InputError if no reading of any scan can be used."""
+        if self.scans and not self._valid:
+            found = "no valid reading of any sonar: all are 0 m, nan or below min_range"
+            raise InputError("live", found, "ranges in m, or +inf where there is no echo")
 
     def _fits(self, pose: Float[ndarray, "3"]) -> bool:
         low, high = np.minimum(self._low, pose[:2]), np.maximum(self._high, pose[:2])
@@ -172,7 +208,7 @@ class LiveMap:
             # Always one scan, always with mounts: that is one program to compile, which takes seconds.
             mounts = robot.mounts if frame.mounts is None else frame.mounts
             try:
-                self._mapper.add([replace(frame, mounts=mounts)])
+                self._mapper.add([replace(frame, mounts=mounts, ranges=robot.clean(frame.ranges))])
             except UsageError:  # the map is as it was
                 self._refused["a scan whose stamp, pose or mounts cannot be"] += 1
                 continue
@@ -190,8 +226,8 @@ class LiveMap:
         grid = self._mapper.around(x, y, self._settings.local_side) if local else self._mapper.grid()
         return Picture(occupancy(grid), grid.resolution, grid.origin, self._last.stamp, self.array.fixed, local)
 
-    def snapshot(self, refused: Counter[str]) -> Snapshot | None:
-        """The map to be saved, with what was refused; None if there is none yet."""
+    def snapshot(self, refused: Counter[str], doubts: Iterable[str]) -> Snapshot | None:
+        """The map to be saved, with what was refused and what is doubtful; None if there is none yet."""
         if not self.scans:
             return None
         grid = deepcopy(self._mapper.grid())
@@ -206,6 +242,7 @@ class LiveMap:
             "resolution": grid.resolution,
             "half_life": self._settings.half_life,
             "refused": dict(refused),
+            "notes": dict.fromkeys(doubts, 0) | self.notes(),
             "weights": self._network.recipe,
         }
         return Snapshot(grid, self._path.points(), settings, f"live, {robot.sonars} sonars, {self._network.name}")

@@ -8,6 +8,7 @@ from typing import Any
 from echogrid.live.hearing import SETTLE_S, Heard, Hearing
 from echogrid.live.live_map import LiveMap, Picture, Settings, Snapshot
 from echogrid.live.sonar_array import Mounts, SonarArray, frames_of, lack, listed, mounts_of
+from echogrid.live.telling import Telling, doubts, kind_of
 from echogrid.models.networks.set_network import SetNetwork
 from echogrid.ros.sonars import fixed_of
 
@@ -22,6 +23,9 @@ REACH_S = 0.5
 
 CHECK_S = 1.0
 """How often it is looked whether sonars are silent or new."""
+
+JUDGE_S, JUDGE_EVERY_S = 15.0, 10.0
+"""Scans are judged when they have been mapped for so long, and how often then."""
 
 GONE_S = 2.0
 """When no sonar at all has been heard for so long, all are silent."""
@@ -45,7 +49,9 @@ class Live:
         self._hearing = Hearing(self._refused)
         self._map: LiveMap | None = None
         self._check_due = self._rebuilt = -inf
-        self._rebuild_due = inf
+        self._rebuild_due = self._judge_due = inf
+        self._telling = Telling()
+        self._doubts: list[str] = []
 
     @property
     def scans(self) -> int:
@@ -92,12 +98,19 @@ class Live:
         hearing = self._hearing
         if now >= self._check_due:
             self._check_due = now + CHECK_S
+            hearing.bring_together()
             if self._map is not None:
                 self._watch(self._map.array, now)
                 self._admit(self._map, now)
-            elif hearing.settled:
+                self._judge_due = min(self._judge_due, now + JUDGE_S)
+            elif hearing.settled(now):
                 self._settle()
             hearing.tidy()
+            if hearing.settled(now):
+                self._doubt()
+            if now >= self._judge_due:
+                self._judge_due = now + JUDGE_EVERY_S
+                self._judge()
         if self._map is None:
             return []
         known = hearing.transforms.known(self._map.array.fixed, self._map.array.base)
@@ -110,15 +123,34 @@ class Live:
             self._settle()
         if self._map is not None:
             self._map.catch_up(REACH_S, final=True)
+        self._doubt(final=True)
+        self._judge()
+
+    def _doubt(self, final: bool = False) -> None:
+        """Tell what is doubtful about what was heard."""
+        told = self._telling.told(doubts(self._hearing, self._map.array if self._map else None), final)
+        self._doubts += told
+        self._notices += told
+
+    def _judge(self) -> None:
+        """Tell what is doubtful about the scans."""
+        for note, count in self._map.notes().items() if self._map else ():
+            said = f"{count} x {note}" if count else note
+            self._notices += self._telling.told([(kind_of(note), said)], now=True)
+
+    def refuse_nothing(self) -> None:
+        """Raise an InputError if there were scans, but no reading that can be used."""
+        if self._map is not None:
+            self._map.refuse_nothing()
 
     def snapshot(self) -> Snapshot | None:
         """The map to be saved; None if there is none yet."""
-        return None if self._map is None else self._map.snapshot(self.refused)
+        return None if self._map is None else self._map.snapshot(self.refused, self._doubts)
 
     def status(self) -> str:
         """How it goes, in one line."""
         if self._map is None:
-            parts = [lack(self._hearing.transforms, self._hearing.sonars, self.settings.choice)]
+            parts = [self._lack()]
         else:
             array = self._map.array
             parts = [f"{self.scans} scans of {len(array.numbers)} sonars in {array.fixed}"]
@@ -128,11 +160,17 @@ class Live:
             parts.append("not taken: " + ", ".join(f"{n} x {reason}" for reason, n in refused))
         return "; ".join(parts)
 
+    def _lack(self) -> str:
+        hearing = self._hearing
+        if hearing.sonars and not hearing.apart:
+            return f"heard {listed(hearing.sonars)}, but no sonar that has a frame of its own"
+        return lack(hearing.transforms, hearing.apart, self.settings.choice)
+
     def _settle(self) -> None:
         """Begin to map, if it is known what with."""
         hearing = self._hearing
-        frames = frames_of(hearing.transforms, hearing.sonars, self.settings.choice)
-        mounts = self._mounts(hearing.sonars, frames[1]) if frames else {}
+        frames = frames_of(hearing.transforms, hearing.apart, self.settings.choice)
+        mounts = self._mounts(hearing.apart, frames[1]) if frames else {}
         if not frames or not mounts:
             return
         array = SonarArray(*frames, mounts, hearing.sonars, hearing.transforms)
@@ -159,7 +197,7 @@ class Live:
     def _admit(self, live_map: LiveMap, now: float) -> None:
         """Take sonars into the array that were first heard, or whose place became known, while mapping."""
         array, hearing = live_map.array, self._hearing
-        new = self._mounts([name for name in hearing.sonars if name not in array.numbers], array.base)
+        new = self._mounts([name for name in hearing.apart if name not in array.numbers], array.base)
         if not new:
             self._rebuild_due = inf
             return

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +11,7 @@ from numpy import ndarray
 
 from echogrid.ros.gathering import Scans
 from echogrid.ros.messages import Choice, natural
-from echogrid.ros.sonars import base_of, fixed_of, mount, robot_of
+from echogrid.ros.sonars import MAX_RANGE_M, base_of, fixed_of, mount, robot_of
 from echogrid.ros.transforms import Transforms
 
 Mounts = dict[str, Float[ndarray, "3"]]
@@ -25,6 +26,8 @@ class SonarSaid:
     """Beam width, rad; None: they say none."""
     limits: tuple[float, float]
     """Minimum and maximum range, m."""
+    topic: str
+    """Where they come."""
 
 
 def frames_of(transforms: Transforms, sonars: Iterable[str], choice: Choice) -> tuple[str, str] | None:
@@ -97,9 +100,16 @@ class SonarArray:
         """Number of each sonar in the scans, by its frame."""
         beams = [beam for name in self._mounts if (beam := sonars[name].beam) is not None]
         limits = [sonars[name].limits for name in self._mounts]
+        self._lows = np.array([low if isfinite(low) else 0.0 for low, _ in limits])
+        self._highs = np.array([min(high, MAX_RANGE_M) if high > 0 else MAX_RANGE_M for _, high in limits])
         self.robot = robot_of("live", np.array(list(self._mounts.values())), beams, limits)
         self.look_up(transforms)
         self.begin(transforms)
+
+    def clean(self, ranges: Float[ndarray, "sonars"]) -> Float[ndarray, "sonars"]:
+        """Ranges (m) by the limits of each sonar: +inf no echo, nan not valid."""
+        ranges = np.where(ranges > self._highs, np.inf, ranges)
+        return np.where(ranges < self._lows, np.nan, ranges)
 
     def look_up(self, transforms: Transforms) -> None:
         """See which frames the robot hangs on: a localiser that starts late puts one above the others."""
