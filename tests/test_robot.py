@@ -287,6 +287,46 @@ def test_ranges_are_cleaned_by_the_no_echo_rule(ranges):
     np.testing.assert_array_equal([robot.clean_one(value) for value in ranges.tolist()], clean)
 
 
+THREE = """name: three
+footprint_radius_m: 0.2
+sonar: {transducer: polaroid-600, min_range_m: 0.15, max_range_m: LONGEST, beam_width_deg: 25}
+mounts: [[0.1, 0, 0], [0, 0.1, 90], [0, -0.1, -90]]
+"""
+
+
+def test_each_sonar_may_have_a_maximum_range_of_its_own():
+    robot = parse_robot(THREE.replace("LONGEST", "[4, 0.9, 0.5]"), "r")
+    assert robot.max_range_m == 4.0
+    np.testing.assert_array_equal(robot.max_ranges_m, [4.0, 0.9, 0.5])
+    assert "0.5..4 m" in repr(robot)
+    ranges = np.array([[0.7, 0.7, 0.7], [4.0, 0.9, 0.1]])
+    expected = np.array([[0.7, 0.7, np.inf], [np.inf, np.inf, np.nan]])
+    np.testing.assert_array_equal(robot.clean(ranges), expected)
+    np.testing.assert_array_equal([robot.clean_one(v, k) for k, v in enumerate(ranges[0].tolist())], expected[0])
+    read = parse_robot(robot_yaml(robot), "again")
+    np.testing.assert_array_equal(read.max_ranges_m, robot.max_ranges_m)
+
+
+def test_a_list_of_one_maximum_range_is_that_range():
+    robot = parse_robot(THREE.replace("LONGEST", "[4, 4, 4]"), "r")
+    assert robot.own_max_ranges_m is None
+    assert robot_yaml(robot) == robot_yaml(parse_robot(THREE.replace("LONGEST", "4"), "r"))
+
+
+@pytest.mark.parametrize(
+    ("given_", "said"),
+    [
+        ("[4, 0.9]", "found 2 numbers, expected a number, or one for each of 3 mounts"),
+        ("[4, 0.9, far]", "found 'far', expected a number"),
+        ("[4, 0.9, 0.1]", "found 0.1, expected more than min_range_m (0.15)"),
+    ],
+)
+def test_a_wrong_list_of_maximum_ranges_is_one_line(given_, said):
+    with pytest.raises(InputError) as raised:
+        parse_robot(THREE.replace("LONGEST", given_), "r")
+    assert str(raised.value) == f"r: sonar.max_range_m: {said}"
+
+
 @given(st.floats(0.01, 90), st.floats(0.01, 90))
 def test_a_limit_that_was_rounded_to_single_precision_is_the_limit(low, span):
     robot = replace(parse_robot(GOOD, "r"), min_range_m=low, max_range_m=low + span)

@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from echogrid.errors import InputError
 from echogrid.files import shipped_names, shipped_or_file
-from echogrid.yaml_keys import Keys, parse_yaml, shown
+from echogrid.yaml_keys import Keys, as_number, parse_yaml, shown
 
 MAX_SONARS = 512
 
@@ -50,11 +50,19 @@ class Robot:
     min_range_m: float
     """Shorter readings are not valid."""
     max_range_m: float
-    """A reading at or past this is no echo."""
+    """A reading at or past this is no echo; where the sonars differ, that of the sonar that hears farthest."""
     beam_width_rad: float
     """Full width of the cone in which a sonar is taken to see."""
     mounts: Float[ndarray, "sonars 3"]
     """x forward (m), y left (m), axis (rad, counter-clockwise from forward), in the robot's frame."""
+    own_max_ranges_m: Float[ndarray, "sonars"] | None = None
+    """The maximum range of each sonar; None: of all the same."""
+
+    @property
+    def max_ranges_m(self) -> Float[ndarray, "sonars"]:
+        """The maximum range of each sonar."""
+        own = self.own_max_ranges_m
+        return np.full(self.sonars, float(self.max_range_m)) if own is None else own
 
     @property
     def sonars(self) -> int:
@@ -64,20 +72,24 @@ class Robot:
     def clean(self, ranges: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
         """Apply the no-echo rule: at or past the maximum range -> +inf, below the minimum range -> nan.
 
-        A reading may have been of single precision. What is clean already stays as it is.
+        A reading may have been of single precision. What is clean already stays as it is. The last axis is that of
+        the sonars, where these differ in their maximum.
         """
-        ranges = np.where(ranges >= self.max_range_m * _SINGLE, np.inf, ranges)
+        longest = self.max_range_m if self.own_max_ranges_m is None else self.own_max_ranges_m
+        ranges = np.where(ranges >= longest * _SINGLE, np.inf, ranges)
         return np.where(ranges < self.min_range_m * _SINGLE, np.nan, ranges)
 
-    def clean_one(self, range_m: float) -> float:
-        """``clean`` for a single reading."""
-        if range_m >= self.max_range_m * _SINGLE:
+    def clean_one(self, range_m: float, sonar: int = 0) -> float:
+        """``clean`` for a single reading of a sonar."""
+        longest = self.max_range_m if self.own_max_ranges_m is None else self.own_max_ranges_m[sonar]
+        if range_m >= longest * _SINGLE:
             return np.inf
         return np.nan if range_m < self.min_range_m * _SINGLE else range_m
 
     def __repr__(self) -> str:
         beam = np.rad2deg(self.beam_width_rad)
-        limits = f"{self.min_range_m:g} to {self.max_range_m:g} m"
+        least = "" if self.own_max_ranges_m is None else f"{np.min(self.own_max_ranges_m):g}.."
+        limits = f"{self.min_range_m:g} to {least}{self.max_range_m:g} m"
         return f"Robot({self.name!r}, {self.sonars} sonars of {limits}, beam {beam:.3g} deg)"
 
     @staticmethod
@@ -127,10 +139,8 @@ def parse_robot(text: str, where: str) -> Robot:
         ),
     )
     min_range = sonar.number("min_range_m", 0.0, 10.0)
-    max_range = sonar.number("max_range_m", 0.0, 100.0)
-    if max_range <= min_range:
-        raise InputError(sonar.at("max_range_m"), f"{max_range:g}", f"more than min_range_m ({min_range:g})")
     mounts = top.rows("mounts", 3, -1000.0, 1000.0)
+    max_range, own = _max_range(sonar, min_range, len(mounts))
     if len(mounts) > MAX_SONARS:
         raise InputError(top.at("mounts"), f"{len(mounts)} rows", f"at most {MAX_SONARS}")
     far = np.flatnonzero(np.max(np.abs(mounts[:, :2]), axis=1) > 10.0)
@@ -145,7 +155,19 @@ def parse_robot(text: str, where: str) -> Robot:
         max_range_m=max_range,
         beam_width_rad=float(np.deg2rad(sonar.number("beam_width_deg", 1.0, 180.0))),
         mounts=mounts,
+        own_max_ranges_m=own,
     )
+
+
+def _max_range(sonar: Keys, min_range: float, sonars: int) -> tuple[float, Float[ndarray, "sonars"] | None]:
+    """The largest maximum range, and that of each sonar where a list gives them."""
+    given, where = sonar.take("max_range_m"), sonar.at("max_range_m")
+    if isinstance(given, list) and len(given) != sonars:
+        raise InputError(where, f"{len(given)} numbers", f"a number, or one for each of {sonars} mounts")
+    each = [as_number(value, 0.0, 100.0, where) for value in (given if isinstance(given, list) else [given])]
+    if min(each) <= min_range:
+        raise InputError(where, f"{min(each):g}", f"more than min_range_m ({min_range:g})")
+    return max(each), np.array(each) if isinstance(given, list) and min(each) < max(each) else None
 
 
 def _transducer(sonar: Keys) -> Transducer:
@@ -179,7 +201,7 @@ def robot_yaml(robot: Robot) -> str:
     )
     sonar |= {
         "min_range_m": robot.min_range_m,
-        "max_range_m": robot.max_range_m,
+        "max_range_m": robot.max_range_m if robot.own_max_ranges_m is None else robot.own_max_ranges_m.tolist(),
         "beam_width_deg": round(float(np.rad2deg(robot.beam_width_rad)), 6),
     }
     mounts = [

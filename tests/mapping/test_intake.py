@@ -318,6 +318,8 @@ ROBOTS: dict[str, tuple[Any, str]] = {
     "mounts of two": ({"mounts": B21.mounts[:, :2]}, "robot b21: found mounts "),
     "no mounts": ({"mounts": np.zeros((0, 3))}, "robot b21: found mounts "),
     "limits": ({"min_range_m": 6.0}, "robot b21: found ranges from 6.0 to 5.0 m, expected a minimum below"),
+    "own limits of two": ({"own_max_ranges_m": np.array([5.0, 1.0])}, "robot b21: found own maximum ranges "),
+    "own limits above": ({"own_max_ranges_m": np.full(24, 6.0)}, "robot b21: found own maximum ranges "),
     "limit of nan": ({"max_range_m": nan}, "robot b21: found ranges from 0.26 to nan m"),
 }
 

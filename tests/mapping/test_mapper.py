@@ -183,7 +183,7 @@ def test_a_person_walks_through_and_is_gone():
 
 
 def test_sonars_that_looked_from_the_mounts_of_the_robot_say_what_they_always_say():
-    fixed = array_of(B21.mounts, B21.max_range_m, B21.footprint_radius_m)
+    fixed = array_of(B21.mounts, B21.max_range_m, B21.footprint_radius_m, ends=True)
     for name, value in moved(fixed, B21.mounts.astype(np.float32), asked(B21.mounts))._asdict().items():
         there = fixed.sonar[:, :, None] >= 0 if name == "distance" else True
         if name == "looks":

@@ -62,6 +62,13 @@ def test_whatever_limits_sonars_tell_their_robot_is_one_that_can_be(limits):
     assert found.sonars == len(limits)
 
 
+def test_sonars_that_differ_in_their_maximum_range_keep_their_own():
+    mixed = robot_of("x", B21.mounts[:4], [], [(0.1, 4.0), (0.1, 0.9), (0.1, nan), (0.1, 0.5)])
+    np.testing.assert_array_equal(mixed.max_ranges_m, [4.0, 0.9, 4.0, 0.5])
+    alike = robot_of("x", B21.mounts[:2], [], [(0.1, 4.0), (0.2, 4.0)])
+    assert alike.own_max_ranges_m is None
+
+
 def tree(*edges):
     found = Transforms()
     for parent, child in edges:

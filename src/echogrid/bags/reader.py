@@ -102,7 +102,7 @@ def _gathered(
             if sonar in plan.left_out:
                 return
             refused["a reading of a sonar without a place, or that was not heard in the beginning"] += 1
-        elif scans.add(number, stamp, robot.clean_one(reading(range_m, low, high))) == BACK:
+        elif scans.add(number, stamp, robot.clean_one(reading(range_m, low, high), number)) == BACK:
             found = f"a clock that jumps back by more than {BACK_S:g} s at {stamp:.3f} s"
             raise InputError(f"{bag.name}: {short(sonar[0])}", found, "time that goes on: cut the bag there in two")
 

@@ -35,6 +35,10 @@ def check_robot(robot: Robot) -> None:
     if low is None or high is None or not 0 <= low < high < np.inf:
         found = f"ranges from {shown(robot.min_range_m)} to {shown(robot.max_range_m)} m"
         raise UsageError(f"robot {robot.name}: found {found}, expected a minimum below a maximum")
+    own = robot.own_max_ranges_m
+    if own is not None and not (np.shape(own) == (len(mounts),) and np.min(own) > low and np.max(own) <= high):
+        expected = f"{len(mounts)} numbers above {low:g}, up to {high:g}"
+        raise UsageError(f"robot {robot.name}: found own maximum ranges {shown(own)}, expected {expected}")
 
 
 def fitting(frames: Iterable[Frame], robot: Robot, latest: float | None = None) -> Iterator[Frame]:

@@ -17,6 +17,10 @@ from echogrid.robot import Robot
 LOOK_RAD = np.deg2rad(30.0)
 """To the networks a point farther than this off the axes of all sonars that fired is one that no sonar looks at."""
 
+CONE_RAD = LOOK_RAD + np.deg2rad(15.0)
+"""Where the range of sonars ends within a network's local map, none tells of anything farther off its axis than this:
+where it looks, and as much as that takes to fade."""
+
 
 class Evidence(NamedTuple):
     """What a batch of scans adds to the map."""

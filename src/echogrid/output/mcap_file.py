@@ -68,7 +68,8 @@ def _ros_time(stamp: float, where: Path) -> _Stamp:
 
 def _stored(ranges: Float[ndarray, "sonars"], robot: Robot) -> Float[ndarray, "sonars"]:
     """Ranges (m) as the message holds them: float32, those below the robot's limit still below it."""
-    longest = np.nextafter(np.float32(robot.max_range_m), np.float32(0))
+    limit = robot.max_range_m if robot.own_max_ranges_m is None else robot.own_max_ranges_m
+    longest = np.nextafter(np.float32(limit), np.float32(0))
     return np.where(ranges == np.inf, np.float32(np.inf), np.minimum(ranges.astype(np.float32), longest))
 
 
@@ -210,7 +211,7 @@ class Recorder:
             ros.sensor_msgs__msg__Range.ULTRASOUND,
             field_of_view=robot.beam_width_rad,
             min_range=robot.min_range_m,
-            max_range=robot.max_range_m,
+            max_range=float(robot.max_ranges_m[sonar]),
             range=metres,
             variance=0.0,
         )

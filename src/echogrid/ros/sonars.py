@@ -52,15 +52,17 @@ def robot_of(
         name: what to call it.
         mounts: m, m, rad.
         beam_widths: of the sonars that say one, rad.
-        limits: minimum and maximum range that the sonars say, m.
+        limits: minimum and maximum range that each sonar says, m.
 
     Returns:
-        A robot with the widest limits of its sonars, the median of their beam widths, a footprint that reaches to the
-        farthest mount, and a Polaroid 600 for its transducer, which mapping does not read.
+        A robot with the widest limits of its sonars (and the maximum of each where they differ), the median of their
+        beam widths, a footprint that reaches to the farthest mount, and a Polaroid 600 for its transducer, which
+        mapping does not read.
     """
     lows = [low for low, _ in limits if 0 <= low < MAX_RANGE_M]
     highs = [high for _, high in limits if 0 < high <= MAX_RANGE_M]
     low, high = min(lows, default=MIN_RANGE_M), max(highs, default=MAX_RANGE_M)
+    own = np.array([each if 0 < each <= MAX_RANGE_M else high for _, each in limits])
     return Robot(
         name=name,
         footprint_radius_m=max(hypot(x, y) for x, y, _ in mounts.tolist()),
@@ -69,6 +71,7 @@ def robot_of(
         max_range_m=high,
         beam_width_rad=median(beam_widths) if beam_widths else BEAM_WIDTH_RAD,
         mounts=mounts,
+        own_max_ranges_m=own if own.size == len(mounts) and own.min() < high else None,
     )
 
 

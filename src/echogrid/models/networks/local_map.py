@@ -18,7 +18,7 @@ from numpy import ndarray
 from echogrid.frame import Frame
 from echogrid.grid import GrowingGrid, logit
 from echogrid.models.batches import BATCH, apart, in_robot, placed
-from echogrid.models.model import Evidence, Fusion, Model
+from echogrid.models.model import CONE_RAD, Evidence, Fusion, Model
 from echogrid.robot import Robot
 
 LOCAL_CELLS, LOCAL_CELL_M = 24, 0.12
@@ -142,6 +142,19 @@ def resample(local: LocalMap, x: Float[Array, "scans *n"], y: Float[Array, "scan
     return jnp.where(inside & (told[0] | told[1] | told[2] | told[3]), total, jnp.nan)
 
 
+def within(
+    robot: Robot, ranges: Float[Array, "scans sonars"], x: Float[Array, "scans *n"], y: Float[Array, "scans *n"]
+) -> Bool[Array, "scans *n"]:
+    """Whether points (robot frame, m) lie under the robot, or in the range and cone of a sonar that fired."""
+    told = x**2 + y**2 <= robot.footprint_radius_m**2
+    for (forward, left, axis), longest, reading in zip(robot.mounts, robot.max_ranges_m, ranges.T, strict=True):
+        distance = jnp.hypot(x - forward, y - left)
+        ahead = (x - forward) * np.cos(axis) + (y - left) * np.sin(axis)
+        fired = ~jnp.isnan(reading).reshape(-1, *[1] * (x.ndim - 1))
+        told |= fired & (distance <= longest) & (ahead >= np.cos(CONE_RAD) * distance)
+    return told
+
+
 class _Told(NamedTuple):
     """What a batch of scans adds to the global map."""
 
@@ -168,6 +181,7 @@ class _Patches(Fusion):
         look = local_mapper(robot, self._model)
         steps = jnp.arange(self._side) * self._resolution
         prior = float(logit(self._model.prior))
+        far = np.min(robot.max_ranges_m - np.hypot(*robot.mounts[:, :2].T)) >= HALF_M * np.sqrt(2)
 
         @jax.jit
         def patches(ranges, corner, theta):
@@ -177,7 +191,8 @@ class _Patches(Fusion):
             """
             x, y = in_robot(corner, theta, steps)
             p = jnp.clip(resample(look(ranges), in_cells(x), in_cells(y)), P_VIEW_MIN, P_VIEW_MAX)
-            return jnp.log(p / (1 - p)) - prior
+            told = jnp.log(p / (1 - p)) - prior
+            return told if far else jnp.where(within(robot, ranges, x, y), told, jnp.nan)
 
         self._patches = patches
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy import ndarray
 
 from echogrid.geometry import wrap
-from echogrid.models.model import LOOK_RAD
+from echogrid.models.model import CONE_RAD, LOOK_RAD
 from echogrid.models.networks.set_layers import TOKENS, Tokens, Weights, along, encode, evidence, nearest
 
 BEARINGS, RINGS, RING_M = 64, 52, 0.05
@@ -41,11 +41,35 @@ class Mounted(NamedTuple):
     """1 where the sonar looks at the point."""
     under: Bool[ndarray, "rings"]
     """Rings on which the robot itself stands."""
-    max_range: float
+    footprint: float
+    """Radius of the robot, m."""
+    max_range: Float[Array | ndarray, "sonars"]
+    """Of each sonar, m."""
+    ends: Float[Array | ndarray, "2 tokens bearings"] | None
+    """How far from the robot's middle (m; 0: nowhere) each sonar can tell of the sector up to the next bearing, and
+    of that from the one before. None where all sonars reach past the local map."""
 
 
-def array_of(mounts: Float[ndarray, "sonars 3"], max_range: float, footprint_radius: float) -> Mounted:
-    """Prepare for an array: mounts in m and rad (nan: no such sonar)."""
+def ends_within(mounts: Float[ndarray, "*n sonars 3"], max_range: Float[ndarray, "sonars"] | float) -> bool:
+    """Whether the range of a sonar (m) ends within the local map, so that what it tells is to end there."""
+    return bool(np.nanmin(max_range - np.hypot(mounts[..., 0], mounts[..., 1])) < REACH_M)
+
+
+def array_of(
+    mounts: Float[ndarray, "sonars 3"],
+    max_range: Float[ndarray, "sonars"] | float,
+    footprint_radius: float,
+    ends: bool = False,
+) -> Mounted:
+    """Prepare for an array.
+
+    Args:
+        mounts: m and rad (nan: no such sonar).
+        max_range: of each sonar or of all, m.
+        footprint_radius: of the robot, m.
+        ends: whether what a sonar tells is to end at its range even if that lies past the local map, as for an array
+            whose sonars move.
+    """
     bearing = np.arange(BEARINGS) * (2 * np.pi / BEARINGS)
     sonar = asked(mounts).T
     there = sonar >= 0
@@ -55,8 +79,40 @@ def array_of(mounts: Float[ndarray, "sonars 3"], max_range: float, footprint_rad
     forward, left = ring - ahead[..., None], -aside[..., None]
     off = np.abs(wrap(np.arctan2(left, forward) - axis[..., None]))
     distance = np.hypot(forward, left).astype(np.float32)
-    looks = (there[..., None] & (off <= LOOK_RAD)).astype(np.float32)
-    return Mounted(sonar, axis, ahead, aside, distance, looks, ring < footprint_radius, max_range)
+    looks = there[..., None] & (off <= LOOK_RAD)
+    own = np.broadcast_to(np.float32(max_range), len(mounts))
+    exits = None
+    if ends or ends_within(mounts, max_range):
+        looks &= distance <= own[sonar][..., None] + RING_M
+        exits = np.where(there, np.asarray(_ends(mounts[sonar], own[sonar])), 0.0).astype(np.float32)
+    looks = looks.astype(np.float32)
+    return Mounted(sonar, axis, ahead, aside, distance, looks, ring < footprint_radius, footprint_radius, own, exits)
+
+
+def _ends(mounts: Float[Array | ndarray, "tokens bearings 3"], reach: Float[Array | ndarray, "tokens bearings"]):
+    """``Mounted.ends`` of the sonars asked for each bearing: where rays leave what lies within range and cone.
+
+    That is convex, so that between two rays nothing of it lies farther out than the nearer end of both but by a hair.
+    """
+    x, y, axis = jnp.moveaxis(jnp.asarray(mounts), -1, 0)
+
+    def leaves(bearing):
+        cos, sin = np.cos(bearing), np.sin(bearing)
+        ahead, aside = cos * x + sin * y, cos * y - sin * x
+        half = jnp.sqrt(jnp.maximum(reach**2 - aside**2, 0.0))
+        enter, leave = ahead - half, ahead + half
+        for side in (CONE_RAD, -CONE_RAD):
+            # Of the cone's edge: how far inside of it the middle lies, and how fast the ray goes inside.
+            edge = axis + side - np.pi / 2 * np.sign(side)
+            inside, into = -(jnp.cos(edge) * x + jnp.sin(edge) * y), jnp.cos(edge - bearing)
+            crosses = -inside / jnp.where(jnp.abs(into) < 1e-6, 1e-6, into)
+            leave = jnp.where(into < 0, jnp.minimum(leave, crosses), leave)
+            enter = jnp.where(into < 0, enter, jnp.maximum(enter, crosses))
+        return jnp.where((leave > enter) & (leave > 0) & (half > 0), leave, 0.0)
+
+    step = 2 * np.pi / BEARINGS
+    before, here, after = (leaves((np.arange(BEARINGS) + k) * step) for k in (-1, 0, 1))
+    return jnp.stack([jnp.minimum(here, after), jnp.minimum(before, here)])
 
 
 def moved(
@@ -72,8 +128,14 @@ def moved(
     forward, left = ring - ahead[..., None], -aside[..., None]
     off = jnp.arctan2(left, forward) - axis[..., None]
     off = jnp.abs(jnp.arctan2(jnp.sin(off), jnp.cos(off)))
-    looks = jnp.where(there[..., None] & (off <= LOOK_RAD), 1.0, 0.0)
-    return array._replace(axis=axis, ahead=ahead, aside=aside, distance=jnp.hypot(forward, left), looks=looks)
+    distance, ends = jnp.hypot(forward, left), array.ends
+    looks = there[..., None] & (off <= LOOK_RAD)
+    if ends is not None:
+        own = jnp.asarray(array.max_range)[array.sonar]
+        looks &= distance <= own[..., None] + RING_M
+        ends = jnp.where(there, _ends(jnp.asarray(mounts)[array.sonar], own), 0.0)
+    looks = jnp.where(looks, 1.0, 0.0)
+    return array._replace(axis=axis, ahead=ahead, aside=aside, distance=distance, looks=looks, ends=ends)
 
 
 def _bearing_of(x, y):
@@ -87,17 +149,30 @@ def _bearing_of(x, y):
     return a * (BEARINGS / (2 * np.pi))
 
 
+def _readings(array: Mounted, ranges: Float[Array, "scans sonars"]) -> Float[Array, "tokens scans bearings"]:
+    """Of the sonars asked for each bearing, nan where there is none."""
+    padded = jnp.pad(ranges, [(0, 0), (0, 1)], constant_values=jnp.nan)
+    return jnp.moveaxis(padded[:, array.sonar], 0, 1)
+
+
+def told_until(array: Mounted, ranges: Float[Array, "scans sonars"]) -> Float[Array, "scans bearings"]:
+    """How far from the robot's middle (m) the sonars that fired can tell, from each bearing to the next."""
+    fired = ~jnp.isnan(_readings(array, ranges))
+    after, before = (jnp.max(jnp.where(fired, end[:, None], 0.0), axis=0) for end in jnp.asarray(array.ends))
+    told = jnp.maximum(after, jnp.roll(before, -1, axis=1))
+    return jnp.clip(told, array.footprint, REACH_M)
+
+
 def local_map(
     w: Weights, array: Mounted, ranges: Float[Array, "scans sonars"], traits: Float[Array, "scans traits"]
 ) -> Float[Array, "scans bearings rings"]:
     """What scans (m) tell of the points of the local map: log-odds; 0 where no sonar that fired looks."""
     scans = len(ranges)
-    padded = jnp.pad(ranges, [(0, 0), (0, 1)], constant_values=jnp.nan)
-    reading = jnp.moveaxis(padded[:, array.sonar], 0, 1)
+    reading = _readings(array, ranges)
     spread = lambda v: jnp.broadcast_to(v[:, None], reading.shape).reshape(TOKENS, -1)  # noqa: E731
     told = Tokens(
         reading.reshape(TOKENS, -1),
-        jnp.full(scans * BEARINGS, array.max_range, jnp.float32),
+        spread(jnp.asarray(array.max_range)[array.sonar]),
         spread(array.axis),
         spread(array.ahead),
         spread(array.aside),
@@ -139,12 +214,15 @@ def view(
     i = jnp.clip(bearing.astype(jnp.int32), 0, BEARINGS - 1)
     j = jnp.clip(out.astype(jnp.int32), 0, RINGS - 2)
     u, v = bearing - i, jnp.clip(out - j, 0.0, 1.0)
-    first = jnp.arange(len(x), dtype=jnp.int32).reshape(-1, *[1] * (x.ndim - 1)) * ((BEARINGS + 1) * RINGS)
-    first = first + i * RINGS + j
+    scan = jnp.arange(len(x), dtype=jnp.int32).reshape(-1, *[1] * (x.ndim - 1))
+    first = scan * ((BEARINGS + 1) * RINGS) + i * RINGS + j
     take = lambda at: table.at[at].get(mode="promise_in_bounds")  # noqa: E731
     low = (1 - v) * take(first) + v * take(first + 1)
     high = (1 - v) * take(first + RINGS) + v * take(first + RINGS + 1)
-    return jnp.where(distance <= REACH_M, (1 - u) * low + u * high, 0.0)
+    reach = REACH_M
+    if array.ends is not None:
+        reach = told_until(array, ranges).reshape(-1).at[scan * BEARINGS + i].get(mode="promise_in_bounds")
+    return jnp.where(distance <= reach, (1 - u) * low + u * high, 0.0)
 
 
 def moved_view(

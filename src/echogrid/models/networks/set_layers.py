@@ -52,7 +52,7 @@ class Tokens(NamedTuple):
 
     reading: Float[Array, "tokens n"]
     """m; inf = no echo, nan = not fired or no such sonar."""
-    max_range: Float[Array, "n"]
+    max_range: Float[Array, "#tokens n"]
     axis: Float[Array, "tokens n"]
     """Of the sonar relative to the bearing, rad."""
     ahead: Float[Array, "tokens n"]

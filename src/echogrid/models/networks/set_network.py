@@ -19,7 +19,7 @@ from echogrid.grid import GrowingGrid, Layers
 from echogrid.models.batches import BATCH, WINDOW_M, in_robot, near_each_other, placed
 from echogrid.models.model import Evidence, Fusion, Model
 from echogrid.models.networks.memory import Memory
-from echogrid.models.networks.polar_map import REACH_M, array_of, asked, moved_view, view
+from echogrid.models.networks.polar_map import REACH_M, array_of, asked, ends_within, moved_view, view
 from echogrid.models.networks.set_layers import Weights, fused, initial
 from echogrid.models.networks.weights import read_weights, write_weights
 from echogrid.robot import Robot
@@ -142,10 +142,14 @@ class _Sums(Fusion):
     @override
     def equip(self, robot: Robot) -> None:
         super().equip(robot)
-        array = array_of(robot.mounts, robot.max_range_m, robot.footprint_radius_m)
-        given = jax.tree.map(jnp.asarray, (self._network.weights, array))
-        self._window = partial(_window, *given, **self._sizes)
+        self._window = self._window_of(ends_within(robot.mounts, robot.max_ranges_m))
         self._memory = Memory(robot.mounts, self._half_life)
+
+    def _window_of(self, ends: bool) -> Callable:
+        """``_window`` for the robot; ``ends``: whether what a sonar tells ends within the local map."""
+        array = array_of(self.robot.mounts, self.robot.max_ranges_m, self.robot.footprint_radius_m, ends)
+        given = jax.tree.map(jnp.asarray, (self._network.weights, array))
+        return partial(_window, *given, **self._sizes)
 
     @override
     def batches(self, frames: Iterable[Frame]) -> Iterator[Sequence[Frame]]:
@@ -168,6 +172,8 @@ class _Sums(Fusion):
             # Rather than let all that was summed fade, what is new counts more.
             weight[: len(batch)] *= np.exp2((stamps - self._epoch) / self._half_life)
         window, mounts = self._window, self._mounts(batch, size)
+        if mounts is not None and ends_within(mounts[0], self.robot.max_ranges_m):
+            window = self._window_of(True)
         corner, end = at.first.min(axis=0), at.first.max(axis=0) + self._side
         rows = (at.first - corner).astype(np.int32)
         stamp, epoch = float(stamps.max()), self._epoch
