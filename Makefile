@@ -14,16 +14,20 @@ help:  ## list the targets
 
 $(READY): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "make: found no Python 3.12 or newer, expected one on the PATH (or PYTHON=...)"; exit 2; }
+	@echo "make: setting up .venv, once: about 1 GB of packages, a few minutes"
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@touch $(READY)
+	@echo "make: .venv is ready; the command is .venv/bin/echogrid, or echogrid after: . .venv/bin/activate"
 
 setup: $(READY)  ## make the virtual environment .venv
 
 map: $(READY)  ## map the shipped sample into out/ (look at out/map.png, or out/map.html in a browser)
+	@echo "make: mapping the shipped sample, 521 scans of a B21, into out/ (some seconds)"
 	$(BIN)/echogrid map --view --out out
 
-test: $(READY)  ## run the tests
+test: $(READY)  ## run the tests (about 10 minutes on 2 cores)
+	@echo "make: running the tests, about 10 minutes on 2 cores"
 	$(BIN)/python -m pytest
 
 check: $(READY)  ## lint, format and types

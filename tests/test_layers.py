@@ -26,7 +26,7 @@ PLAN = {
     "output": "folder follower map_picture scan_picture map_server_file map_file mcap_file recording page rerun_file "
     "rerun_server",
     "live": "sonar_array clocks hearing telling live_map session sockets tf_topics dds_types dds",
-    "cli": "ending arguments info maps simulation live commands",
+    "cli": "ending arguments info maps simulation live helping completion commands",
 }
 ORDER = [f"{room}.{name}".strip(".") for room, names in PLAN.items() for name in [*names.split(), ""] if room or name]
 

@@ -9,8 +9,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from echogrid.errors import InputError
 from echogrid.grid import Grid, logit
-from echogrid.metrics import PATH_GOALS, PATH_STARTS, PathScore, Scores, Truth, _Ways, path_score, score
+from echogrid.metrics import (
+    HIDDEN,
+    PATH_GOALS,
+    PATH_STARTS,
+    PathScore,
+    Scores,
+    Truth,
+    _Ways,
+    check_overlap,
+    path_score,
+    score,
+)
 
 SHAPE = (5, 5)
 
@@ -441,3 +453,30 @@ def test_a_truth_too_small_for_a_way_scores_nan(cells):
     paths = path_score(grid_of(perfect_map(truth), 0.1), truth, RADIUS)
     assert all(math.isnan(share) for share in (paths.collides, paths.blocked, paths.lost))
     assert paths.pairs == 0
+
+
+def test_a_truth_of_another_place_is_refused_and_one_that_touches_is_not():
+    grid = Grid(np.zeros((10, 20), np.float32), np.ones((10, 20), bool), 0.1, (1.0, 2.0))
+    for x, y, there in (
+        (1.0, 2.0, True),
+        (2.9, 2.9, True),
+        (3.0, 2.0, False),
+        (1.0, 3.0, False),
+        (-50.0, 2.0, False),
+    ):
+        truth = Truth(np.zeros((10, 10), np.int8), 0.1, (x, y))
+        if there:
+            check_overlap(grid, truth, "map", "truth")
+        else:
+            with pytest.raises(InputError, match=r"^truth: found a truth within x .*, expected one of the place of"):
+                check_overlap(grid, truth, "map", "truth")
+
+
+def test_a_map_or_a_truth_that_says_nothing_is_refused():
+    grid = Grid(np.zeros((10, 10), np.float32), np.zeros((10, 10), bool), 0.1, (0.0, 0.0))
+    truth = Truth(np.full((10, 10), HIDDEN, np.int8), 0.1, (0.0, 0.0))
+    with pytest.raises(InputError, match=r"^map: found a map in which nothing was observed"):
+        check_overlap(grid, truth, "map", "truth")
+    grid.observed[:] = True
+    with pytest.raises(InputError, match=r"^truth: found hidden cells only"):
+        check_overlap(grid, truth, "map", "truth")

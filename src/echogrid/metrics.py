@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 from numpy import ndarray
 
+from echogrid.errors import InputError
 from echogrid.grid import Grid
 
 if TYPE_CHECKING:
@@ -129,6 +130,35 @@ def score(grid: Grid, truth: Truth) -> Scores:
         surface_cells=p_surface.size,
         free_cells=p_free.size,
     )
+
+
+def check_overlap(grid: Grid, truth: Truth, map_name: str, truth_name: str) -> None:
+    """Refuse to score a map by a truth of another place.
+
+    Raises:
+        InputError: nothing was observed, the truth has neither surface nor free cells, or the two have no place in
+            common.
+    """
+    seen = grid.observed_part()
+    if seen is None:
+        raise InputError(map_name, "a map in which nothing was observed", "some cells to score")
+    counted = Grid(truth.cells, truth.cells != HIDDEN, truth.resolution, truth.origin).observed_part()
+    if counted is None:
+        raise InputError(truth_name, "hidden cells only", "some of surface (1) or free (0)")
+    low, high = zip(_box(seen), _box(counted), strict=True)
+    if np.any(np.max(low, axis=0) >= np.min(high, axis=0)):
+        raise InputError(truth_name, f"a truth {_told(counted)}", f"one of the place of the map, {_told(seen)}")
+
+
+def _box(part: Grid) -> tuple[Float[ndarray, "2"], Float[ndarray, "2"]]:
+    """Lowest and highest x, y, m, world."""
+    low = np.array(part.origin)
+    return low, low + np.array(part.shape[::-1]) * part.resolution
+
+
+def _told(part: Grid) -> str:
+    (x0, y0), (x1, y1) = _box(part)
+    return f"within x {x0:.2f} .. {x1:.2f}, y {y0:.2f} .. {y1:.2f} m"
 
 
 def path_score(grid: Grid, truth: Truth, robot_radius_m: float, seed: int = 0) -> PathScore:

@@ -106,7 +106,7 @@ def test_it_opens_alone_and_quiet(opened):
     urls = [each["request"]["url"] for each in asked if not each["documentURL"].startswith("chrome:")]
     assert [url for url in urls if not url.startswith("data:")] == [opened.current_url]
     assert opened.execute_script("return performance.getEntriesByType('resource').length") == 0
-    assert now(opened) == "9.8 s, scan 40 of 40"
+    assert now(opened) == "0.0 s, scan 1 of 40"
     assert "40 scans of </script ><b>duo (2 sonars) in 9.8 s." in by_id(opened, "summary").text
 
 

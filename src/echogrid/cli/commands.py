@@ -5,10 +5,14 @@ from collections.abc import Callable
 import tyro
 
 from echogrid import __version__
+from echogrid.cli.arguments import Ros
+from echogrid.cli.completion import completion
+from echogrid.cli.helping import examples, worded
 from echogrid.cli.info import Info
 from echogrid.cli.live import Live
 from echogrid.cli.maps import Map, Score
 from echogrid.cli.simulation import Scan, Simulate, Train
+from echogrid.simulation.acoustics import Physics
 
 Command = Map | Live | Simulate | Scan | Train | Score | Info
 
@@ -22,12 +26,27 @@ COMMANDS: dict[str, Callable[..., Command]] = {
     "info": Info,
 }
 
+for _each in (Map, Live, Simulate, Scan, Train, Score, Info, Ros, Physics):
+    worded(_each)
+
 
 def run(args: list[str]) -> None:
     """Run the command that the arguments ask for."""
     if args in (["--version"], ["-V"]):
         print(f"echogrid {__version__}")
         return
-    tyro.extras.subcommand_cli_from_dict(
-        COMMANDS, prog="echogrid", description="Occupancy maps from ultrasonic ranges.", args=args
-    ).run()
+    if args[:1] == ["--tyro-print-completion"]:
+        print(completion(args[1:], COMMANDS))
+        return
+    _asked_for(args).run()
+
+
+def _asked_for(args: list[str]) -> Command:
+    try:
+        return tyro.extras.subcommand_cli_from_dict(
+            COMMANDS, prog="echogrid", description="Occupancy maps from ultrasonic ranges.", args=args
+        )
+    except SystemExit as left:
+        if left.code in (0, None):  # a help was shown
+            print(examples(args), end="")
+        raise

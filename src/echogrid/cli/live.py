@@ -74,7 +74,7 @@ class Live:
         try:
             from echogrid.live.dds import Network
         except ImportError:
-            raise UsageError("live: found no cyclonedds, expected `pip install 'echogrid[ros2]'`") from None
+            raise UsageError("live: found no cyclonedds, expected `pip install '.[ros2]'`") from None
         from echogrid.live.live_map import Settings
         from echogrid.live.session import Live as Mapping
         from echogrid.mapping.registry import sensor_model
@@ -95,7 +95,8 @@ class Live:
             saver = _Saver(self.out, self.save_every)
             _map(mapping, network, saver, stop, interface or "the interfaces of CYCLONEDDS_URI")
             saver.last(mapping, network)
-        print(escaped(f"{mapping.scans} scans, {mapping.readings} readings; map in {self.out}/map.png"))
+        files = f"{self.out}/map.png; {self.out}/map.yaml is for Nav2's map_server"
+        print(escaped(f"{mapping.scans} scans, {mapping.readings} readings; map in {files}"))
 
     def _check(self) -> int:
         check_map(self.resolution, self.half_life)

@@ -69,7 +69,7 @@ class Map:
     mcap: bool = False
     """Also write map.mcap: poses, ranges and the map as it grew as messages of ROS 2, for Foxglove and rosbags."""
     rerun: bool = False
-    """Also write map.rrd and show it in the browser by Rerun (pip install 'echogrid[viewer]'): the drive in time, the
+    """Also write map.rrd and show it in the browser by Rerun (pip install '.[viewer]'): the drive in time, the
     cones, the map round the robot and the whole map. Served on 127.0.0.1 alone, until Ctrl-C."""
 
     def run(self) -> None:
@@ -131,9 +131,9 @@ class Map:
         if not named:
             print(f"robot: {robot.name}, as none was named", file=sys.stderr)
         print_notes(log)
-        rows, cols = mapped.grid.shape
-        cell = mapped.grid.resolution
-        files = f"{self.out}/map.png{', map.html' if self.view else ''}"
+        part = mapped.grid.observed_part() or mapped.grid  # as the page counts, and as the picture shows
+        (rows, cols), cell = part.shape, part.resolution
+        files = f"{self.out}/map.png{', map.html' if self.view else ''}; {self.out}/map.yaml is for Nav2's map_server"
         what = f"{log.name}: {mapped.frames} scans of {robot.name} in {mapped.seconds:.1f} s"
         print(escaped(f"{what}; map of {cols * cell:.1f} x {rows * cell:.1f} m in {files}"))
 
@@ -181,8 +181,10 @@ class Score:
 
     def run(self) -> None:
         """Print the scores."""
-        from echogrid.metrics import score
+        from echogrid.metrics import check_overlap, score
         from echogrid.output.map_file import read_map, read_truth
 
-        for name, value in asdict(score(read_map(self.map), read_truth(self.truth))).items():
+        grid, truth = read_map(self.map), read_truth(self.truth)
+        check_overlap(grid, truth, str(self.map), str(self.truth))
+        for name, value in asdict(score(grid, truth)).items():
             print(f"{name:13} {value}" if isinstance(value, int) else f"{name:13} {value:.4f}")

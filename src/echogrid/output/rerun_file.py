@@ -43,7 +43,7 @@ def check_rerun() -> None:
         UsageError: it is not.
     """
     if find_spec("rerun") is None or find_spec("rerun_cli") is None:
-        raise UsageError("--rerun: found no rerun, expected it by `pip install 'echogrid[viewer]'`")
+        raise UsageError("--rerun: found no rerun, expected it by `pip install '.[viewer]'`")
 
 
 class Viewing:
