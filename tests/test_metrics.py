@@ -455,21 +455,33 @@ def test_a_truth_too_small_for_a_way_scores_nan(cells):
     assert paths.pairs == 0
 
 
-def test_a_truth_of_another_place_is_refused_and_one_that_touches_is_not():
+@pytest.mark.parametrize(
+    ("x", "y", "share"),
+    [(1.0, 2.0, 1.0), (2.5, 2.0, 0.5), (2.9, 2.9, 0.01), (3.0, 2.0, 0), (1.0, 3.0, 0), (-50.0, 2.0, 0)],
+)
+def test_a_truth_of_another_place_is_refused_and_one_that_shares_a_cell_is_not(x, y, share):
     grid = Grid(np.zeros((10, 20), np.float32), np.ones((10, 20), bool), 0.1, (1.0, 2.0))
-    for x, y, there in (
-        (1.0, 2.0, True),
-        (2.9, 2.9, True),
-        (3.0, 2.0, False),
-        (1.0, 3.0, False),
-        (-50.0, 2.0, False),
-    ):
-        truth = Truth(np.zeros((10, 10), np.int8), 0.1, (x, y))
-        if there:
+    truth = Truth(np.zeros((10, 10), np.int8), 0.1, (x, y))
+    if share:
+        assert check_overlap(grid, truth, "map", "truth") == pytest.approx(share)
+    else:
+        found = (
+            r"^truth: found a truth of another place, x .* m, expected one of the place of the map, x 1.00 .. 3.00,"
+        )
+        with pytest.raises(InputError, match=found):
             check_overlap(grid, truth, "map", "truth")
-        else:
-            with pytest.raises(InputError, match=r"^truth: found a truth within x .*, expected one of the place of"):
-                check_overlap(grid, truth, "map", "truth")
+
+
+def test_cells_that_were_not_observed_or_are_hidden_are_nothing_in_common():
+    observed = np.zeros((10, 10), bool)
+    observed[:, ::9] = True  # a frame whose inside nobody spoke of
+    grid = Grid(np.zeros((10, 10), np.float32), observed, 0.1, (0.0, 0.0))
+    cells = np.full((10, 10), HIDDEN, np.int8)
+    cells[5, 5] = 1
+    with pytest.raises(InputError, match=r"^truth: found a truth of another place"):
+        check_overlap(grid, Truth(cells, 0.1, (0.0, 0.0)), "map", "truth")
+    cells[5, 0] = 0
+    assert check_overlap(grid, Truth(cells, 0.1, (0.0, 0.0)), "map", "truth") == 0.5
 
 
 def test_a_map_or_a_truth_that_says_nothing_is_refused():

@@ -132,33 +132,34 @@ def score(grid: Grid, truth: Truth) -> Scores:
     )
 
 
-def check_overlap(grid: Grid, truth: Truth, map_name: str, truth_name: str) -> None:
+def check_overlap(grid: Grid, truth: Truth, map_name: str, truth_name: str) -> float:
     """Refuse to score a map by a truth of another place.
 
+    Returns:
+        The share of the truth's surface and free cells of whose centres the map speaks.
+
     Raises:
-        InputError: nothing was observed, the truth has neither surface nor free cells, or the two have no place in
+        InputError: nothing was observed, the truth has neither surface nor free cells, or the two have no cell in
             common.
     """
     seen = grid.observed_part()
     if seen is None:
         raise InputError(map_name, "a map in which nothing was observed", "some cells to score")
-    counted = Grid(truth.cells, truth.cells != HIDDEN, truth.resolution, truth.origin).observed_part()
-    if counted is None:
+    counted = truth.cells != HIDDEN
+    if not counted.any():
         raise InputError(truth_name, "hidden cells only", "some of surface (1) or free (0)")
-    low, high = zip(_box(seen), _box(counted), strict=True)
-    if np.any(np.max(low, axis=0) >= np.min(high, axis=0)):
-        raise InputError(truth_name, f"a truth {_told(counted)}", f"one of the place of the map, {_told(seen)}")
+    spoken = Grid(grid.observed.astype(np.float32), grid.observed, grid.resolution, grid.origin)
+    share = float(np.mean(_sample(spoken, truth, border=0)[counted] > 0.5))
+    if not share:
+        found = f"a truth of another place, {_told(truth.resolution, truth.origin, truth.cells.shape)}"
+        wanted = f"one of the place of the map, {_told(seen.resolution, seen.origin, seen.shape)}"
+        raise InputError(truth_name, found, wanted)
+    return share
 
 
-def _box(part: Grid) -> tuple[Float[ndarray, "2"], Float[ndarray, "2"]]:
-    """Lowest and highest x, y, m, world."""
-    low = np.array(part.origin)
-    return low, low + np.array(part.shape[::-1]) * part.resolution
-
-
-def _told(part: Grid) -> str:
-    (x0, y0), (x1, y1) = _box(part)
-    return f"within x {x0:.2f} .. {x1:.2f}, y {y0:.2f} .. {y1:.2f} m"
+def _told(resolution: float, origin: tuple[float, float], shape: tuple[int, ...]) -> str:
+    (x, y), (rows, cols) = origin, shape
+    return f"x {x:.2f} .. {x + cols * resolution:.2f}, y {y:.2f} .. {y + rows * resolution:.2f} m"
 
 
 def path_score(grid: Grid, truth: Truth, robot_radius_m: float, seed: int = 0) -> PathScore:

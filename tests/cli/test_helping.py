@@ -1,15 +1,17 @@
 """A help in whole sentences, with examples; completion by tab; the README as it is printed."""
 
 import re
+import shlex
 import shutil
 import subprocess
 import sys
 import venv
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
-from bag_writers import drive, sample, write_mcap
+from bag_writers import drive, sample, write
 from commands import LOG, ROBOT, SOURCE, put
 from echogrid.cli.commands import COMMANDS
 from echogrid.cli.helping import EXAMPLES
@@ -32,19 +34,40 @@ def test_no_default_is_none_and_no_sentence_is_broken(run, monkeypatch, command)
     assert "default: None" not in text
     assert "(default: )" not in text
     assert "echogrid[" not in text
-    options = [line for line in paragraphs(text) if not line.startswith(("─", "-", "•"))]
+    options = [re.split(r" {2,}", line)[-1] for line in paragraphs(text)]
+    options = [text for text in options if not text.startswith(("─", "-")) and not text.startswith("show this help")]
+    assert len(options) > 1
     assert [line for line in options if not re.search(r"(?:[.)]|\(required\))$", line)] == []
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_examples_end_the_help_and_parse(run, command):
     text = run(command, "--help")[1]
-    if command not in EXAMPLES:
-        assert "examples:" not in text
-        return
     shown = text.partition("\nexamples:\n")[2]
     assert [line.strip() for line in shown.splitlines()] == EXAMPLES[command].strip().splitlines()
-    assert all(line.startswith(f"echogrid {command}") for line in EXAMPLES[command].strip().splitlines())
+    commands = [shlex.split(line, comments=True)[1:] for line in EXAMPLES[command].strip().splitlines()]
+    assert commands[-1 if command == "score" else 0][0] == command
+    assert [words for words in commands if run(*words, "--help")[0]] == []
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+@pytest.mark.parametrize("command", [None, *COMMANDS])
+def test_no_line_of_a_help_is_wider_than_the_terminal_or_breaks_a_sentence(run, monkeypatch, width, command):
+    monkeypatch.setenv("COLUMNS", str(width))
+    text = run(*([command] if command else []), "--help")[1].partition("examples:")[0]
+    assert [line for line in text.splitlines() if len(line) > width] == []
+    outside = re.sub(r"^[│╭╰].*\n", "", text, flags=re.MULTILINE).rstrip()
+    for paragraph in outside.split("\n\n"):
+        lines = paragraph.splitlines()
+        for line, following in pairwise(lines):  # broken only where the next word has no room
+            assert len(line) + 1 + len(following.split()[0]) > width
+        assert len(lines) == 0 or lines[0].startswith("usage: ") or lines[-1].endswith(".")
+
+
+def test_the_help_of_all_ends_with_where_to_begin(run):
+    assert [run(*args)[1].partition("\nexamples:\n")[2] for args in (["--help"], ["-h"])] == [
+        "".join(f"  {line}\n" for line in EXAMPLES[""].strip().splitlines())
+    ] * 2
 
 
 def completed(shell_script, *words, folder):
@@ -91,8 +114,7 @@ def as_made(folder: Path) -> None:
     venv.EnvBuilder(symlinks=True, with_pip=False).create(folder / ".venv")
     command = f"#!/bin/sh\nexec {sys.executable} -c 'from echogrid.cli import main; main()' \"$@\"\n"
     put(folder / ".venv" / "bin" / "echogrid", command).chmod(0o755)
-    write_mcap(folder / "drive.bag.mcap", drive(sample(30)))
-    (folder / "drive.bag.mcap").rename(folder / "drive.bag")
+    write(folder / "drive.bag", drive(sample(30)), "bag")
     put(folder / "drive.csv", LOG)
     put(folder / "my-robot.yaml", ROBOT)
     shutil.copy(SOURCE / "echogrid" / "weights" / "set.npz", folder / "mine.npz")

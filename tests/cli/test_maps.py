@@ -1,5 +1,7 @@
 """Logs are mapped, and maps scored."""
 
+import json
+import re
 from dataclasses import fields
 from pathlib import Path
 
@@ -7,15 +9,16 @@ import numpy as np
 import pytest
 import yaml
 
-from commands import LOG, MAP_FILES, ROBOT, SAMPLE, TRUTH, arrays, call, put, scores
+from commands import LOG, MAP_FILES, ROBOT, SAMPLE, SCORES, TRUTH, arrays, call, put, scores
 from echogrid import __version__
 from echogrid.frame import Frame
 from echogrid.logs.formats import load_log
 from echogrid.mapping.registry import sensor_model
+from echogrid.metrics import Truth
 from echogrid.models.classical.forward_model import ForwardModel
 from echogrid.models.classical.log_odds import Cone
 from echogrid.models.networks.set_network import SetNetwork
-from echogrid.output.map_file import read_truth
+from echogrid.output.map_file import read_truth, write_truth
 from echogrid.robot import Robot
 
 
@@ -53,6 +56,39 @@ def test_the_sample_maps_well(run, sample):
 @pytest.mark.parametrize("name", ["map.npz", "map.yaml"])
 def test_score_takes_the_files_of_a_map_as_well(run, sample, name):
     assert scores(run, sample / name)["auc"] == pytest.approx(scores(run, sample)["auc"], abs=0.05)
+
+
+@pytest.mark.parametrize("shift", [(100.0, 0.0), (0.0, -30.0)])
+def test_a_truth_of_another_place_is_one_line_and_nothing_is_printed(run, sample, tmp_path, shift):
+    truth = read_truth(TRUTH)
+    origin = truth.origin[0] + shift[0], truth.origin[1] + shift[1]
+    write_truth(tmp_path / "far.npz", Truth(truth.cells, truth.resolution, origin))
+    status, out, err = run("score", sample, tmp_path / "far.npz")
+    assert (status, out) == (2, "")
+    found = r"echogrid: \S+far\.npz: found a truth of another place, x .* m, expected one of the place of the map, .*\n"
+    assert re.fullmatch(found, err)
+
+
+def test_a_truth_that_the_map_hardly_covers_is_told(run, sample, tmp_path):
+    truth = read_truth(TRUTH)
+    wide = np.zeros(10 * np.array(truth.cells.shape), np.int8)
+    write_truth(tmp_path / "wide.npz", Truth(wide, truth.resolution, truth.origin))
+    status, out, err = run("score", sample, tmp_path / "wide.npz")
+    assert (status, len(out.splitlines())) == (0, len(SCORES))
+    assert re.fullmatch(r"note: the map speaks of [01]\.\d% of the truth's cells alone: is it .*\n", err)
+
+
+def test_the_summary_names_the_files_and_the_size_that_the_page_and_the_picture_have(run, tmp_path):
+    status, out, _ = run("map", "--view", "--out", tmp_path / "out")
+    assert status == 0
+    (width, height), (facts,) = (
+        re.findall(r"map of (\S+) x (\S+) m in \S+/out/map.png, map.html; \S+/map.yaml is for Nav2's", out)[0],
+        re.findall(r'id="facts">(.*?)</script>', (tmp_path / "out" / "map.html").read_text(), re.DOTALL),
+    )
+    assert [f"{metres:.1f}" for metres in json.loads(facts)["size"]] == [width, height]
+    observed = np.argwhere(arrays(tmp_path / "out")["observed"])
+    rows, cols = np.ptp(observed, axis=0) + 1
+    assert (width, height) == (f"{cols * 0.04:.1f}", f"{rows * 0.04:.1f}")
 
 
 def test_the_scores_of_the_cone_are_worse(run, sample, tmp_path):

@@ -16,13 +16,18 @@ from echogrid.limits import HALF_LIFE, RESOLUTION
 from echogrid.logs.formats import load_log
 from echogrid.output.folder import drop_stale
 from echogrid.packed import compression_of
-from echogrid.robot import Robot, presets_with
+from echogrid.robot import Robot, preset_names, presets_with
 from echogrid.ros.messages import Choice
 from echogrid.simulation.acoustics import Physics
 from echogrid.simulation.beam_patterns import BEAMS
 from echogrid.simulation.world import world_names
 
 WORLD = arg(metavar="WORLD", help=f"World file, or a shipped one: {', '.join(world_names())}.")
+
+
+def robot_arg(more: str = ""):
+    """What an option that names a robot shows in the help; more: what else there is to say."""
+    return arg(metavar="NAME|FILE", help=f"Preset ({', '.join(preset_names())}) or robot file{more}.")
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import tyro
 from echogrid import __version__
 from echogrid.cli.arguments import Ros
 from echogrid.cli.completion import completion
-from echogrid.cli.helping import examples, worded
+from echogrid.cli.helping import examples, folded, worded
 from echogrid.cli.info import Info
 from echogrid.cli.live import Live
 from echogrid.cli.maps import Map, Score
@@ -43,9 +43,10 @@ def run(args: list[str]) -> None:
 
 def _asked_for(args: list[str]) -> Command:
     try:
-        return tyro.extras.subcommand_cli_from_dict(
-            COMMANDS, prog="echogrid", description="Occupancy maps from ultrasonic ranges.", args=args
-        )
+        with folded():
+            return tyro.extras.subcommand_cli_from_dict(
+                COMMANDS, prog="echogrid", description="Occupancy maps from ultrasonic ranges.", args=args
+            )
     except SystemExit as left:
         if left.code in (0, None):  # a help was shown
             print(examples(args), end="")

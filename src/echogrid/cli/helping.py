@@ -1,12 +1,24 @@
 """What a help says beyond what tyro makes of a command: whole sentences, defaults where there are any, examples."""
 
 import dataclasses
-from typing import Annotated, Any
+import io
+import shutil
+import sys
+import textwrap
+from collections.abc import Generator
+from contextlib import contextmanager, redirect_stdout
+from typing import Annotated, Any, override
 
 import docstring_parser
 from tyro.conf import arg
 
 EXAMPLES = {
+    "": """
+echogrid map --view            # the sample that ships with echogrid: look at out/map.png, or out/map.html
+echogrid info drive.bag        # what is in a log of your own
+echogrid map drive.bag --view
+echogrid map --help            # each command has a help of its own
+""",
     "map": """
 echogrid map                                       # the sample that ships with echogrid
 echogrid map drive.bag --view                      # a bag of ROS says by itself where the sonars sit
@@ -24,26 +36,68 @@ echogrid live --interface eth0 --domain 7
 echogrid simulate corridor --robot p3dx --out drive.csv
 echogrid simulate my-room.yaml --robot b21 --walls smooth --seed 3 --out drive.csv
 """,
+    "scan": """
+echogrid scan lab --at 1,0.8 --out scan
+""",
+    "train": """
+echogrid train --robot p3dx --out mine.npz         # an hour on 2 cores; goes on where it was stopped
+echogrid map drive.csv --robot p3dx --interpreter mine.npz
+""",
+    "score": """
+echogrid simulate corridor --robot p3dx --out drive.csv
+echogrid map drive.csv --robot p3dx --out out
+echogrid score out drive.truth.npz
+""",
 }
-"""Of each command, shown at the end of its help."""
+"""Of each command, shown at the end of its help; of the whole under no name."""
 
 
 def examples(args: list[str]) -> str:
-    """What the help that was asked for ends with; empty where there is nothing."""
-    shown = EXAMPLES.get(args[0], "") if args else ""
-    return f"examples:\n{''.join(f'  {line}\n' for line in shown.strip().splitlines())}" if shown else ""
+    """What the help that was asked for ends with."""
+    shown = EXAMPLES[args[0] if args and args[0] in EXAMPLES else ""]
+    return f"examples:\n{''.join(f'  {line}\n' for line in shown.strip().splitlines())}"
 
 
 def worded(command: Any) -> None:
-    """Have tyro show the docstrings of a command's options as they are written.
+    """Have tyro show the docstrings of a command and of its options as they are written.
 
     Left to itself it breaks the line wherever the source does, and calls None the default of what the text has just
     said the default of.
     """
     texts = {doc.arg_name: doc.description or "" for doc in docstring_parser.parse_from_object(command).params}
     for option in dataclasses.fields(command):
-        text = " ".join(texts.get(option.name, "").split())
+        text = _whole(texts.get(option.name, ""))
         hint = "" if option.default in (None, ()) else None
         kind: Any = option.type
         shown: Any = Annotated[kind, arg(help=text or None, help_behavior_hint=hint)]
         command.__annotations__[option.name] = option.type = shown
+    command.__doc__ = "\n\n".join(map(_whole, (command.__doc__ or "").split("\n\n")))
+
+
+def _whole(text: str) -> str:
+    """A paragraph in one line, as it is meant for a terminal."""
+    return " ".join(text.replace("``", "").split())
+
+
+class _Held(io.TextIOWrapper):
+    """Text that is held back from the output, and made as for that."""
+
+    @override
+    def isatty(self) -> bool:
+        return sys.__stdout__ is not None and sys.__stdout__.isatty()
+
+
+@contextmanager
+def folded() -> Generator[None]:
+    """Fold the lines that are printed as paragraphs to the width of the terminal, which tyro does in boxes alone."""
+    kept = io.BytesIO()
+    held = _Held(kept, (sys.stdout.encoding or "ascii").lower(), "backslashreplace", write_through=True)
+    try:
+        with redirect_stdout(held):
+            yield
+    finally:
+        fold = textwrap.TextWrapper(
+            shutil.get_terminal_size().columns, break_long_words=False, break_on_hyphens=False
+        ).fill
+        for line in kept.getvalue().decode(held.encoding).splitlines():
+            print(fold(line) if line[:1].isalpha() else line)

@@ -10,7 +10,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from echogrid.bags import reader as bag
 from echogrid.bags.clocks import apart
 from echogrid.bags.survey import Survey
-from echogrid.cli.arguments import Ros, print_notes
+from echogrid.cli.arguments import Ros, print_notes, robot_arg
 from echogrid.errors import escaped
 from echogrid.logs.contents import LogInfo, describe
 from echogrid.logs.formats import load_log
@@ -24,9 +24,12 @@ class Info:
 
     log: Annotated[Positional[Path], arg(metavar="LOG")]
     """CSV or CARMEN log, or a bag of ROS."""
-    robot: Annotated[str | None, arg(metavar="NAME|FILE")] = None
-    """Preset or robot file, for its range limits (and places, where a bag has none). Without it, readings count as
-    they are."""
+    robot: Annotated[
+        str | None,
+        robot_arg(
+            ", for its range limits (and places, where a bag has none). Without it, readings count as they are"
+        ),
+    ] = None
     ros: Annotated[Ros, OmitArgPrefixes] = field(default_factory=Ros)
 
     def run(self) -> None:

@@ -13,9 +13,9 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from echogrid.cli.arguments import Ros, bar, check_map, drop, open_log, print_notes
+from echogrid.cli.arguments import Ros, bar, check_map, drop, open_log, print_notes, robot_arg
 from echogrid.errors import InputError, escaped
-from echogrid.files import made, replacing
+from echogrid.files import made, printable, replacing
 from echogrid.frame import Frame, Log
 from echogrid.grid import Grid
 from echogrid.output.folder import check_folder
@@ -25,6 +25,10 @@ from echogrid.track import Track
 
 if TYPE_CHECKING:
     from echogrid.models.model import Model
+
+
+_COVERED = 0.1
+"""The map of a drive covers more than this of its truth."""
 
 
 class _Mapped(NamedTuple):
@@ -47,8 +51,9 @@ class Map:
 
     log: Annotated[Positional[str | None], arg(metavar="[LOG]")] = None
     """CSV or CARMEN log, or a bag of ROS 1 or ROS 2 (.bag, .mcap, .db3 or a folder)."""
-    robot: Annotated[str | None, arg(metavar="NAME|FILE")] = None
-    """Preset or robot file. Default: the robot that the log describes, else b21 if the log has 24 sonars."""
+    robot: Annotated[
+        str | None, robot_arg(". Default: the robot that the log describes, else b21 if the log has 24 sonars")
+    ] = None
     ros: Annotated[Ros, OmitArgPrefixes] = field(default_factory=Ros)
     out: Path = Path("out")
     """Folder for the map."""
@@ -185,6 +190,9 @@ class Score:
         from echogrid.output.map_file import read_map, read_truth
 
         grid, truth = read_map(self.map), read_truth(self.truth)
-        check_overlap(grid, truth, str(self.map), str(self.truth))
+        share = check_overlap(grid, truth, printable(self.map), printable(self.truth))
+        if share < _COVERED:
+            found = f"the map speaks of {share:.1%} of the truth's cells alone"
+            print(f"note: {found}: is it the truth of this drive, in the same frame?", file=sys.stderr)
         for name, value in asdict(score(grid, truth)).items():
             print(f"{name:13} {value}" if isinstance(value, int) else f"{name:13} {value:.4f}")

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from tyro.conf import Positional, arg
 
-from echogrid.cli.arguments import WORLD, bar, check_physics, check_seed
+from echogrid.cli.arguments import WORLD, bar, check_physics, check_seed, robot_arg
 from echogrid.errors import UsageError
 from echogrid.files import check_writable, replacing, unwritable
 from echogrid.frame import Frame
@@ -26,8 +26,7 @@ class Simulate:
     """
 
     world: Annotated[Positional[str], WORLD]
-    robot: Annotated[str, arg(metavar="NAME|FILE")]
-    """Preset or robot file."""
+    robot: Annotated[str, robot_arg()]
     out: Path
     """The log to write (CSV)."""
     drive: str = "auto"
@@ -116,8 +115,7 @@ class Train:
     Takes up again where it was stopped, from OUT.checkpoint.npz, if the settings are the same.
     """
 
-    robot: Annotated[str, arg(metavar="NAME|FILE")]
-    """Preset, robot file, or any: a new array for each drive, as for the weights that ship."""
+    robot: Annotated[str, robot_arg("; or any: a new array for each drive, as for the weights that ship")]
     out: Path
     """The weights to write (.npz)."""
     network: Literal["set", "paper"] = "set"

@@ -30,7 +30,9 @@ class Physics:
     beam: str = "bessel"
     """Beam pattern: ``bessel`` (circular piston, side lobes), ``gaussian``, ``impulse`` or ``cone``."""
     temperature_c: float = 20.0
+    """Temperature of the air, degrees Celsius."""
     humidity_percent: float = 50.0
+    """Relative humidity of the air."""
     level_db: float = 34.0
     """Level of a smooth plane on the axis at 1 m above the detection threshold. The first side lobe (35.1 dB
     down) is heard where the level exceeds 35.1 dB, so 34 dB keeps side lobes within 0.9 m."""
