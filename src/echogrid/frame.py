@@ -48,6 +48,18 @@ class Frame:
         return " ".join(f"Frame(stamp={shown(self.stamp)}, pose={place}, ranges: {told}{moved})".split())
 
 
+@dataclass
+class Progress:
+    """How far a log is read, and how far there is to go, for whoever shows it."""
+
+    unit: str
+    """What is counted."""
+    total: Callable[[], int]
+    """How many there are; that may have to be counted."""
+    done: int | None = None
+    """How many were taken since the log was last begun; None: one a frame."""
+
+
 @dataclass(frozen=True)
 class Log:
     """A sequence of frames that can be gone through again and again, read lazily where it lies in a file."""
@@ -65,6 +77,8 @@ class Log:
     """What was left out, assumed or doubtful when the log was last gone through, and how often; 0 where that says
     nothing."""
 
+    progress: Progress | None = None
+    """How far it is read; None where the end is not known."""
     judges: bool = False
     """Whether the reader shows its frames to a judge itself, as one that has them in arrays can do for less."""
 

@@ -132,3 +132,23 @@ def test_the_commands_of_the_readme_run_as_printed(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "scan" / "scan.png").exists()
+
+
+def test_make_says_what_takes_long_before_it_does(tmp_path):
+    for name in ("Makefile", "pyproject.toml", "constraints.txt"):
+        shutil.copy(SOURCE.parent / name, tmp_path)
+
+    def planned(*targets):
+        command = ["make", f"PYTHON={sys.executable}", *targets]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+
+    for target in ("map", "test"):
+        lines = planned("-n", target).splitlines()
+        told = [number for number, line in enumerate(lines) if line.startswith('echo "make: ')]
+        venv_made = next(number for number, line in enumerate(lines) if "-m venv" in line)
+        assert told[0] == venv_made - 1
+        assert told[-1] == len(lines) - 2  # what the target itself does is the last line
+    assert "--quiet" not in planned("-n", "setup")
+    assert re.search(r"^make test .*\d+ minutes", planned(), re.MULTILINE)
+    there = set(re.findall(r"^make (\w+)", planned(), re.MULTILINE))
+    assert set(re.findall(r"^ {4}make (\w+)", README.read_text(), re.MULTILINE)) <= there

@@ -17,7 +17,7 @@ from echogrid.bags.mounts import turned
 from echogrid.bags.reading_plan import Plan, planned
 from echogrid.bags.survey import Survey
 from echogrid.errors import InputError
-from echogrid.frame import Frame, Log
+from echogrid.frame import Frame, Log, Progress
 from echogrid.robot import Robot
 from echogrid.ros.gathering import BACK, BACK_S, Scans
 from echogrid.ros.messages import RANGE, Choice, short
@@ -50,7 +50,10 @@ def load(path: Path, robot: Robot | None, choice: Choice) -> Log:
         # Poses, or the places of the sonars, may come later than the sonars themselves.
         plan = planned(Survey(path, robot, choice, whole=True))
     notes: dict[str, int] = {}
-    return Log(beginning.name, plan.robot.sonars, plan.robot, partial(_frames, path, plan, notes), notes)
+    total = sum(topic.messages for topic in beginning.topics if topic.name in plan.topics)
+    progress = Progress("message", lambda: total)
+    frames = partial(_frames, path, plan, notes, progress)
+    return Log(beginning.name, plan.robot.sonars, plan.robot, frames, notes, progress)
 
 
 def survey(path: Path, robot: Robot | None, choice: Choice) -> Survey:
@@ -60,7 +63,7 @@ def survey(path: Path, robot: Robot | None, choice: Choice) -> Survey:
     return found
 
 
-def _frames(path: Path, plan: Plan, notes: dict[str, int]) -> Iterator[Frame]:
+def _frames(path: Path, plan: Plan, notes: dict[str, int], progress: Progress) -> Iterator[Frame]:
     """Go through a bag; at its end the notes are those of this time.
 
     Raises:
@@ -71,7 +74,7 @@ def _frames(path: Path, plan: Plan, notes: dict[str, int]) -> Iterator[Frame]:
     refused: Counter[str] = Counter()
     count, valid = 0, False
     with BagFile(path) as bag:
-        for frame in _gathered(bag, plan, transforms, scans, refused):
+        for frame in _gathered(bag, plan, transforms, scans, refused, progress):
             count += 1
             valid = valid or not np.isnan(frame.ranges).all()
             yield frame
@@ -89,7 +92,7 @@ def _frames(path: Path, plan: Plan, notes: dict[str, int]) -> Iterator[Frame]:
 
 
 def _gathered(
-    bag: BagFile, plan: Plan, transforms: Transforms, scans: Scans, refused: Counter[str]
+    bag: BagFile, plan: Plan, transforms: Transforms, scans: Scans, refused: Counter[str], progress: Progress
 ) -> Iterator[Frame]:
     """The frames that the messages of a bag become, through its transforms and scans; counts what is refused."""
     numbers, robot, fixes, scales = plan.numbers, plan.robot, plan.fixes, plan.scales
@@ -106,7 +109,7 @@ def _gathered(
             found = f"a clock that jumps back by more than {BACK_S:g} s at {stamp:.3f} s"
             raise InputError(f"{bag.name}: {short(sonar[0])}", found, "time that goes on: cut the bag there in two")
 
-    for topic, kind, received, content in bag.messages(plan.topics):
+    for progress.done, (topic, kind, received, content) in enumerate(bag.messages(plan.topics), 1):
         if kind == RANGE:  # nearly all of them
             stamp, frame, _, low, high, range_m = content
             if fixes and (fix := fixes.get((topic, frame))):

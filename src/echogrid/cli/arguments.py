@@ -11,7 +11,7 @@ from tqdm import tqdm
 from tyro.conf import arg
 
 from echogrid.errors import UsageError, escaped
-from echogrid.frame import Log
+from echogrid.frame import Frame, Log
 from echogrid.limits import HALF_LIFE, RESOLUTION
 from echogrid.logs.formats import load_log
 from echogrid.output.folder import drop_stale
@@ -82,6 +82,18 @@ def drop(folder: Path, besides: Collection[str] = (), log: str | None = None) ->
 def bar[T](items: Iterable[T], what: str, unit: str, total: int | None = None) -> Iterator[T]:
     """A progress bar round an iterable; silent where there is no terminal."""
     return iter(tqdm(items, desc=what, unit=unit, total=total, disable=None, leave=False))
+
+
+def shown(log: Log, what: str) -> Iterator[Frame]:
+    """The frames of a log under a progress bar, which knows the end where the log does."""
+    progress = log.progress
+    if progress is None or not sys.stderr.isatty():
+        yield from bar(log, what, "scan")
+        return
+    with tqdm(desc=what, unit=progress.unit, total=progress.total(), leave=False) as line:
+        for frame in log:
+            line.update(1 if progress.done is None else progress.done - line.n)
+            yield frame
 
 
 _PHYSICS_LIMITS = {

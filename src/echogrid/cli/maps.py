@@ -13,7 +13,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from echogrid.cli.arguments import Ros, bar, check_map, drop, open_log, print_notes, robot_arg
+from echogrid.cli.arguments import Ros, check_map, drop, open_log, print_notes, robot_arg, shown
 from echogrid.errors import InputError, escaped
 from echogrid.files import made, printable, replacing
 from echogrid.frame import Frame, Log
@@ -106,7 +106,7 @@ class Map:
 
         def frames() -> Iterator[Frame]:
             nonlocal count, valid
-            for frame in bar(log, "mapping", "scan"):
+            for frame in shown(log, "mapping"):
                 path.add(float(frame.pose[0]), float(frame.pose[1]))
                 count += 1
                 valid = valid or not np.isnan(frame.ranges).all()

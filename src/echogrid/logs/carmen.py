@@ -27,7 +27,7 @@ from numpy import ndarray
 
 from echogrid.errors import InputError
 from echogrid.files import printable
-from echogrid.frame import Frame, Log
+from echogrid.frame import Frame, Log, Progress
 from echogrid.logs.lines import numbered, quoted, text_of
 from echogrid.logs.rows import Table, number_of, only_numbers
 from echogrid.robot import MAX_SONARS, TRANSDUCERS, Robot
@@ -102,17 +102,20 @@ def load(path: Path, robot: Robot | None) -> Log:
     sonar, where = first
     described = robot or _robot(sonar, where)
     notes: dict[str, int] = {}
-    frames = partial(_frames, path, sonar, described, robot is None, notes)
-    return Log(name, len(sonar.ranges), described, frames, notes)
+    progress = Progress("scan", lambda: sum(line.startswith(b"SONAR ") for _, line in numbered(path)))
+    frames = partial(_frames, path, sonar, described, robot is None, notes, progress)
+    return Log(name, len(sonar.ranges), described, frames, notes, progress)
 
 
-def _frames(path: Path, first: _Sonar, robot: Robot, keep_mounts: bool, notes: dict[str, int]) -> Iterator[Frame]:
+def _frames(
+    path: Path, first: _Sonar, robot: Robot, keep_mounts: bool, notes: dict[str, int], progress: Progress
+) -> Iterator[Frame]:
     """Go through the messages; at the end the notes are those of this time.
 
     With ``keep_mounts`` every SONAR line must have the mounts of the first.
     """
     name, track, left_out, count, begin = printable(path), _Track(), Counter[str](), 0, inf
-    for sonar in _posed(path, name, first, track, keep_mounts):
+    for progress.done, sonar in enumerate(_posed(path, name, first, track, keep_mounts), 1):
         begin = min(begin, sonar.stamp)
         pose = track.pose_at(sonar.stamp)
         if isinstance(pose, str):

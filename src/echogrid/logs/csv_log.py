@@ -18,7 +18,7 @@ from numpy import inf, nan, ndarray
 from echogrid.doubts import Judge
 from echogrid.errors import InputError
 from echogrid.files import printable, replacing, unwritable
-from echogrid.frame import Frame, Log
+from echogrid.frame import Frame, Log, Progress
 from echogrid.logs.csv_header import ODOM, POSE, Header, read_header, recognises
 from echogrid.logs.lines import MAX_LINE, numbered, text_of
 from echogrid.logs.rows import Table, number_of, only_numbers
@@ -51,7 +51,15 @@ def load(path: Path, robot: Robot | None) -> Log:
         raise _no_rows(printable(path))
     sonars = len(header.columns) - header.columns.index("r0")
     notes: dict[str, int] = {}
-    return Log(printable(path), sonars, robot, partial(_frames, path, header, robot, notes), notes, judges=True)
+    progress = Progress("scan", partial(_count, path, header))
+    frames = partial(_frames, path, header, robot, notes)
+    return Log(printable(path), sonars, robot, frames, notes, progress, judges=True)
+
+
+def _count(path: Path, header: Header) -> int:
+    """The rows of a log."""
+    lines = (line for number, line in numbered(path) if number > header.line)
+    return sum(not line.isspace() and line[0] != _COMMENT for line in lines)
 
 
 def _frames(path: Path, header: Header, robot: Robot | None, notes: dict[str, int]) -> Iterator[Frame]:
