@@ -29,7 +29,7 @@ with_rerun = pytest.mark.skipif(find_spec("rerun") is None, reason="needs the ex
 
 def test_without_rerun_the_line_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setattr(rerun_file, "find_spec", lambda _: None)
-    with pytest.raises(UsageError, match=r"--rerun: found no rerun, expected .*pip install 'echogrid\[viewer\]'"):
+    with pytest.raises(UsageError, match=r"--rerun: found no rerun, expected .*pip install '\.\[viewer\]'"):
         Viewing(tmp_path / "map.rrd", ROBOT)
     with pytest.raises(UsageError, match="found no rerun"), served(tmp_path / "map.rrd"):
         pytest.fail("the block must not run")
