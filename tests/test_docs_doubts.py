@@ -1,8 +1,8 @@
 """Everything that is said about a log stands on the page about maps that look wrong: it is collected from the source.
 
-What is said is prose: a text in the source with three words in a row or more, or what an InputError found. Not what it
-expected, which is the remedy, and not what goes on with a text from elsewhere (", 3 times more"). Errors that name a
-line of a file are told there as one kind.
+What is said is prose: a text in the source with three words in a row or more, or what an InputError found. Not what
+it expected, which is the remedy, and not what goes on with a text from elsewhere (", 3 times more"). Errors that name
+a line of a file are told there as one kind.
 """
 
 import ast
