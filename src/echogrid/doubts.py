@@ -43,8 +43,8 @@ GLITCH_M = 500.0
 STAYS = 20
 """So many frames in a row at the far place, and the robot is taken to be there."""
 
-_WHOLE, _EVERY = 16, 8
-"""After so many batches the ranges and headings of every so many-th alone are looked at: shares need no more."""
+_WHOLE, _EVERY = 512, 8
+"""After so many frames the ranges and headings of every so many-th batch alone are looked at: shares need no more."""
 
 _SAME_M, _LEAST_S = 1e-6, 0.02
 _DEGREES = {"degrees": np.pi / 180, "tenths of a degree": np.pi / 1800}
@@ -139,7 +139,7 @@ class Judge:
         was measured, or of 0 m."""
         self._robot = robot
         self._last: Float[ndarray, "4"] | None = None
-        self._where, self._batches = Whereabouts(), 0
+        self._where, self._batches, self._frames = Whereabouts(), 0, 0
         self._first_stamp = nan
         self._longest, self._at_longest, self._sonars_at = -inf, 0, np.zeros(0, dtype=bool)
         self._places_at = np.array([inf, inf, -inf, -inf])
@@ -167,7 +167,8 @@ class Judge:
         if not len(rows):
             return
         self._batches += 1
-        whole = self._batches <= _WHOLE or self._batches % _EVERY == 0 or not self.echoes
+        whole = self._frames < _WHOLE or self._batches % _EVERY == 0 or not self.echoes
+        self._frames += len(rows)
         if whole:
             self._see_ranges(ranges, rows[:, 1:3])
         self._see_poses(rows, whole)
