@@ -139,6 +139,30 @@ def test_a_log_of_frames_tells_its_doubts_when_it_was_gone_through():
         assert [note.split(" by ")[0] for note in log.notes] == ["the pose jumps"]
 
 
+def test_no_echo_that_is_said_as_0_is_told():
+    stamps, poses, ranges = drive()
+    (told,) = notes(stamps, poses, np.where(ranges == inf, 0.0, ranges))
+    assert told.startswith("29% of the readings are 0 m")
+    rare = np.where(np.random.default_rng(0).random(ranges.shape) < 0.1, 0.0, ranges)
+    assert notes(stamps, poses, rare) == {}
+
+
+def test_stamps_that_are_all_the_same_are_told():
+    stamps, poses, ranges = drive()
+    (told,) = notes(0 * stamps, poses, ranges)
+    assert told.startswith("all stamps are 0 s")
+    assert notes(np.floor(stamps), poses, ranges) == {}
+
+
+@given(st.integers(1, 16), st.floats(0.4, 4.9))
+def test_who_stands_before_a_wall_hears_the_same_again_and_again(sonars, far):
+    stamps, poses, _ = drive()
+    walls = far * np.linspace(0.5, 1.0, sonars) * np.ones((400, 1))
+    assert notes(stamps, 0 * poses, walls) == {}
+    (told,) = notes(stamps, poses, np.full((400, sonars), far))
+    assert "the longest range" in told
+
+
 def test_few_frames_are_not_doubted():
     for ranges in ([nan, nan], [inf, inf], [0.001, 0.002]):
         assert notes(np.array([0.0]), np.zeros((1, 3)), np.array([ranges])) == {}

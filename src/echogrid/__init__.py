@@ -14,7 +14,7 @@ TYPE_CHECKING = False  # as of typing, whose import would be a good part of the 
 if TYPE_CHECKING:
     __version__: str
 
-    from echogrid.errors import EchogridError
+    from echogrid.errors import DoubtWarning, EchogridError
     from echogrid.frame import Frame, Log
     from echogrid.grid import Grid
     from echogrid.logs.formats import load_log
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from echogrid.simulation.world import World
 
 _HOME = {
+    "DoubtWarning": "errors",
     "EchogridError": "errors",
     "Frame": "frame",
     "Grid": "grid",
@@ -44,6 +45,7 @@ _HOME = {
 }
 
 __all__ = [
+    "DoubtWarning",
     "EchogridError",
     "Frame",
     "Grid",

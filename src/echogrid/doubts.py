@@ -30,14 +30,21 @@ MOST_INVALID = 0.5
 REPEATED = 0.05
 """Share of the echoes that have the very longest value from which that is taken for the sensor's no echo."""
 
+_REPEATED_FEW, _FEW, _APART_M = 0.3, 4, 0.5
+"""That share of an array of fewer sonars, whose longest value may be that of one wall; and how far apart the robot
+was when the value came, at least: who stands hears the same again and again."""
+
+ZEROS = 0.2
+"""Share of the readings that are 0 m from which that is taken for the sensor's no echo."""
+
 GLITCH_M = 500.0
 """A pose that lies farther than this from the last good one, though no robot can have got there, is left out."""
 
 STAYS = 20
 """So many frames in a row at the far place, and the robot is taken to be there."""
 
-_WHOLE, _EVERY = 16, 8
-"""After so many batches the ranges and headings of every so many-th alone are looked at: shares need no more."""
+_WHOLE, _EVERY = 512, 8
+"""After so many frames the ranges and headings of every so many-th batch alone are looked at: shares need no more."""
 
 _SAME_M, _LEAST_S = 1e-6, 0.02
 _DEGREES = {"degrees": np.pi / 180, "tenths of a degree": np.pi / 1800}
@@ -127,13 +134,15 @@ class Judge:
     def __init__(self, robot: Robot | None = None):
         """A new log; ``robot``: whose limits the readings are compared with."""
         self.motion = Motion()
-        self.readings = self.echoes = self.short = self.past = 0
-        """Readings that were fired and valid; those with an echo, too short, or past the maximum range though
-        something was measured."""
+        self.readings = self.echoes = self.short = self.past = self.zeros = 0
+        """Readings that were fired and valid; those with an echo, too short, past the maximum range though something
+        was measured, or of 0 m."""
         self._robot = robot
         self._last: Float[ndarray, "4"] | None = None
-        self._where, self._batches = Whereabouts(), 0
+        self._where, self._batches, self._frames = Whereabouts(), 0, 0
+        self._first_stamp = nan
         self._longest, self._at_longest, self._sonars_at = -inf, 0, np.zeros(0, dtype=bool)
+        self._places_at = np.array([inf, inf, -inf, -inf])
         self._farthest = 0.0
         self._along: dict[str, complex] = dict.fromkeys(("radians", *_DEGREES), 0j)
         self._driven = 0
@@ -158,18 +167,20 @@ class Judge:
         if not len(rows):
             return
         self._batches += 1
-        whole = self._batches <= _WHOLE or self._batches % _EVERY == 0 or not self.echoes
+        whole = self._frames < _WHOLE or self._batches % _EVERY == 0 or not self.echoes
+        self._frames += len(rows)
         if whole:
-            self._see_ranges(ranges)
+            self._see_ranges(ranges, rows[:, 1:3])
         self._see_poses(rows, whole)
 
-    def _see_ranges(self, ranges: Float[ndarray, "frames sonars"]) -> None:
+    def _see_ranges(self, ranges: Float[ndarray, "frames sonars"], places: Float[ndarray, "frames 2"]) -> None:
         echo = np.isfinite(ranges)
         low, high = (self._robot.min_range_m, self._robot.max_range_m) if self._robot else (0.0, inf)
         past, short = ranges >= high, ranges < low
         unheard = int(np.count_nonzero(ranges == inf))
         self.past += int(np.count_nonzero(past)) - unheard
         self.short += int(np.count_nonzero(short))
+        self.zeros += int(np.count_nonzero(ranges == 0))
         finite = int(np.count_nonzero(echo))
         self.readings += finite + unheard
         heard = echo & ~past & ~short
@@ -180,16 +191,22 @@ class Judge:
         if longest > self._longest + _SAME_M:
             self._longest, self._at_longest = longest, 0
             self._sonars_at[:] = False
-        if longest >= self._longest - _SAME_M:
+            self._places_at[:] = inf, inf, -inf, -inf
+        if longest >= max(self._longest - _SAME_M, 0.0):
             same = heard & (ranges >= self._longest - _SAME_M)
             self._at_longest += int(np.count_nonzero(same))
             self._sonars_at |= same.any(axis=0)
+            there = places[same.any(axis=1)]
+            low, high = np.minimum(self._places_at[:2], there.min(0)), np.maximum(self._places_at[2:], there.max(0))
+            self._places_at[:] = *low, *high
         self._farthest = max(self._farthest, float(np.max(ranges, where=echo, initial=0.0)))
 
     def _see_poses(self, rows: Float[ndarray, "frames 4"], whole: bool) -> None:
         """Rows of stamp, x, y, heading; unless they are to be looked at as a whole, for jumps alone."""
         track = rows if self._last is None else np.concatenate([self._last[None], rows])
         self._last = rows[-1]
+        if np.isnan(self._first_stamp):
+            self._first_stamp = float(rows[0, 0])
         found = speeds(track, turns=whole)
         self.motion.steps += len(found.way)
         self._count_jumps(track[1:, 0], found.way, found.far)
@@ -233,15 +250,23 @@ class Judge:
             farthest = f"(the farthest at {self._farthest:g}) and count as no echo"
             notes[f"{share} {farthest}: is that cm or mm, or is max_range wrong?"] = 0
         low = self._robot.min_range_m if self._robot else 0.0
-        if self.short > MOST_INVALID * self.readings and self.readings >= LEAST_READINGS:
+        if self.zeros > ZEROS * self.readings and self.readings >= LEAST_READINGS:
+            share = f"{self.zeros / self.readings:.0%} of the readings are 0 m, which is no range, and not used"
+            notes[f"{share}: if that is how the sensor says no echo, it has to be inf"] = 0
+        elif self.short > MOST_INVALID * self.readings and self.readings >= LEAST_READINGS:
             share = f"{self.short / self.readings:.0%} of the readings are below min_range {low:g} m"
             notes[f"{share} and not used: are the ranges in m, is min_range right?"] = 0
-        repeats = self._at_longest > max(REPEATED * self.echoes, 30) and np.mean(self._sonars_at) >= 0.5
-        if repeats:
+        if self._longest_repeats():
             value, often = f"{self._longest:g}", f"comes {self._at_longest} times exactly, from most sonars"
             remedy = f"if that is how the sensor says no echo, map with a robot file whose max_range_m is {value}"
             notes[f"the longest range, {value} m, {often}: {remedy}"] = 0
         return notes
+
+    def _longest_repeats(self) -> bool:
+        share = REPEATED if self._sonars_at.size >= _FEW else _REPEATED_FEW
+        if self._at_longest <= max(share * self.echoes, 30) or np.mean(self._sonars_at) < 0.5:
+            return False
+        return float(np.hypot(*(self._places_at[2:] - self._places_at[:2]))) >= _APART_M
 
     def _of_poses(self) -> dict[str, int]:
         notes: dict[str, int] = {}
@@ -257,6 +282,10 @@ class Judge:
             what = f"the pose jumps by {way:.2f} m at {stamp:.2f} s"
             more = f" and {motion.fast - 1} times more (up to {motion.longest_m:.1f} m)" if motion.fast > 1 else ""
             notes[f"{what}{more}, faster than any robot: did the odometry start anew? cut the log there in two"] = 0
+        if self._last is not None and self._last[0] == self._first_stamp and motion.steps >= LEAST_STEPS:
+            notes[
+                f"all stamps are {self._first_stamp:g} s: no speed can be told, and nothing fades; write the time"
+            ] = 0
         notes |= self._of_headings(often)
         return notes
 

@@ -31,3 +31,7 @@ class InputError(EchogridError):
 
 class UsageError(EchogridError):
     """A request that cannot be carried out as it stands, though every file is well formed."""
+
+
+class DoubtWarning(UserWarning):
+    """Frames that a program handed over were mapped, but something about them is doubtful."""

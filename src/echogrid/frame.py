@@ -126,9 +126,26 @@ def _judged(frames: Iterable[Frame], judge: Judge, notes: dict[str, int]) -> Ite
         if not batch and error is None:
             break
         if batch:
-            columns = zip(*((frame.stamp, frame.pose, frame.ranges) for frame in batch), strict=True)
-            judge.see(*(np.array(column, dtype=float) for column in columns))
+            _show(judge, batch)
             yield from batch
     if error is not None:
         raise error
     notes |= judge.notes()
+
+
+def passing(frames: Iterable[Frame], judge: Judge) -> Iterator[Frame]:
+    """Frames that a judge sees as they pass: none is taken from their source before it is wanted."""
+    batch: list[Frame] = []
+    for frame in frames:
+        batch.append(frame)
+        yield frame
+        if len(batch) == _BATCH:
+            _show(judge, batch)
+            batch = []
+    if batch:
+        _show(judge, batch)
+
+
+def _show(judge: Judge, batch: Iterable[Frame]) -> None:
+    columns = zip(*((frame.stamp, frame.pose, frame.ranges) for frame in batch), strict=True)
+    judge.see(*(np.array(column, dtype=float) for column in columns))

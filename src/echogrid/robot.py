@@ -18,6 +18,9 @@ MAX_SONARS = 512
 _SINGLE = 1 - 1e-6
 """A limit in single precision is at least this share of the limit."""
 
+_LEAST_M = 1e-6
+"""0 m is no range, whatever the minimum."""
+
 
 @dataclass(frozen=True)
 class Transducer:
@@ -70,21 +73,21 @@ class Robot:
         return len(self.mounts)
 
     def clean(self, ranges: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
-        """Apply the no-echo rule: at or past the maximum range -> +inf, below the minimum range -> nan.
+        """Apply the no-echo rule: at or past the maximum range -> +inf, below the minimum range or 0 -> nan.
 
         A reading may have been of single precision. What is clean already stays as it is. The last axis is that of
         the sonars, where these differ in their maximum.
         """
         longest = self.max_range_m if self.own_max_ranges_m is None else self.own_max_ranges_m
         ranges = np.where(ranges >= longest * _SINGLE, np.inf, ranges)
-        return np.where(ranges < self.min_range_m * _SINGLE, np.nan, ranges)
+        return np.where(ranges < max(self.min_range_m * _SINGLE, _LEAST_M), np.nan, ranges)
 
     def clean_one(self, range_m: float, sonar: int = 0) -> float:
         """``clean`` for a single reading of a sonar."""
         longest = self.max_range_m if self.own_max_ranges_m is None else self.own_max_ranges_m[sonar]
         if range_m >= longest * _SINGLE:
             return np.inf
-        return np.nan if range_m < self.min_range_m * _SINGLE else range_m
+        return np.nan if range_m < max(self.min_range_m * _SINGLE, _LEAST_M) else range_m
 
     def __repr__(self) -> str:
         beam = np.rad2deg(self.beam_width_rad)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bag_samples import DRIVE, END_S, FRAMES, LONG, again, refused, stated
-from bag_writers import START_S, Said, drive, mounted, odometry, posed, ranged, tf, time_of, transform
+from bag_writers import START_S, Said, drive, header, mounted, odometry, posed, ranged, tf, time_of, transform
 from echogrid.bags.bag_file import Message
 from echogrid.bags.clocks import Clocks, judged
 from echogrid.logs.formats import load_log
@@ -171,7 +171,24 @@ def test_info_tells_the_clocks_that_are_not_that_of_the_recording(put, capsys):
     _, said = stated(capsys, put(sonars(lambda said: again(said, stamp=said.time - 12))))
     assert "clocks        /sonar/* (24 of them): 12.0 s behind the time of recording" in said.splitlines()
     _, said = stated(capsys, put(DRIVE))
-    assert "clocks   " not in said
+    assert "clocks        all stamps within 0.5 s of the time of recording" in said.splitlines()
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0, 3.0])
+def test_a_simulation_whose_time_begins_at_0_is_not_doubted(put, capsys, rate):
+    def simulated(said):
+        time = rate * (said.time - START_S)
+        if "transforms" not in said.content:
+            return again(said, stamp=time)
+        moved = [dict(each, header=header(time, each["header"]["frame_id"])) for each in said.content["transforms"]]
+        return said._replace(content={"transforms": moved})
+
+    noted, said = stated(capsys, put(map(simulated, DRIVE)))
+    assert noted == ""
+    assert f"span          {rate * (END_S - START_S):.2f} s" in said
+    assert f"frames        {len(FRAMES)}" in said
+    row = next(line for line in said.splitlines() if line.startswith("/sonar/0 sonar_0"))
+    assert float(row.split()[2]) == pytest.approx(5 / rate, rel=0.05)
 
 
 @given(

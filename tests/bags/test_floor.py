@@ -1,13 +1,14 @@
 """Rangers that hear the floor, and those that look ahead though they are pitched; one sonar on two topics."""
 
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bag_samples import DRIVE, FRAMES, again, assert_same_frames, refused
+from bag_samples import DRIVE, FRAMES, again, assert_same_frames, refused, stated
 from bag_writers import B21, START_S, Said, posed, ranged, ranging, tf, time_of, transform, write
 from echogrid.errors import InputError
 from echogrid.logs.formats import load_log
@@ -60,7 +61,22 @@ def test_where_all_hear_the_floor_the_bag_is_refused(put, capsys):
     assert "expected rangers that look ahead" in line
 
 
+def half_heard(pitch: float, height: float) -> list[Said]:
+    """Rangers that hear the floor in every second reading, and nothing in the others."""
+    tree, *heard = cliffs(pitch, height)
+    return [tree, *(again_range(each, inf) if i // 2 % 2 else each for i, each in enumerate(heard))]
+
+
+def test_info_says_which_rangers_hear_the_floor(put, capsys):
+    _, said = stated(capsys, put([*DRIVE, *cliffs(0.6, 0.2)]))
+    rows = [line for line in said.splitlines() if line.startswith("/cliff/") and "deg" in line]
+    assert len(rows) == 2
+    assert all("one that hears the floor" in row for row in rows)
+
+
 LEVEL = {
+    "too few readings": cliffs(0.6, 0.2)[:19],
+    "half of the readings alone": half_heard(0.6, 0.2),
     "level, and so near": cliffs(0.01, 0.2, 0.01),
     "pitched, and farther than the floor": cliffs(0.6, 0.3, 4.0),
     "pitched, and nearer than the floor": cliffs(0.6, 0.6, 0.5),

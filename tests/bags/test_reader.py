@@ -237,4 +237,19 @@ def test_what_is_in_a_bag_is_told(put, capsys):
     row = next(line for line in lines if line.startswith("/sonar/7 sonar_7"))
     silent = np.mean([np.isinf(frame.ranges[7]) for frame in FRAMES])
     assert re.search(r" 5\.0 Hz +-?0\.\d\d +0\.\d\d m +67\.5 deg +25 deg  0\.26-5\.00 m", row), row
-    assert row.endswith(f"{silent:6.1%}")
+    assert row.endswith(f"{silent:6.1%}    0.0%")
+
+
+@pytest.mark.parametrize("nothing", [0.0, -1.0])
+def test_no_echo_that_is_said_as_0_is_told(put, capsys, nothing):
+    def said(share):
+        rng = np.random.default_rng(0)
+        for each in ranged(FRAMES):
+            lost = rng.random() < share
+            yield again(each, range=nothing) if lost else each
+
+    noted, out = stated(capsys, put([mounted(), *posed(FRAMES), *said(0.4)]))
+    assert re.fullmatch(r"note: \d\d% of the readings on /sonar/\* \(2\d of them\) are 0 m or less, .*\+inf\n", noted)
+    row = next(line for line in out.splitlines() if line.startswith("/sonar/7 sonar_7"))
+    assert 20 < float(row.split()[-1].rstrip("%")) < 60
+    assert stated(capsys, put([mounted(), *posed(FRAMES), *said(0.05)]))[0] == ""

@@ -337,7 +337,7 @@ STATED = {
     ),
     "a sonar that says 0": (
         [said if said.topic != "/sonar/3" else again(said, range=0.0) for said in DRIVE],
-        ["nothing but 0 m, which is no range, from sonar_3 on /sonar/3 in the beginning (26 times)"],
+        ["nothing but 0 m or less, which is no range, from sonar_3 on /sonar/3 in the beginning (26 times)"],
     ),
     "a beam of 0": (
         [again(said, field_of_view=0.0) if "sonar" in said.topic else said for said in DRIVE],

@@ -1,12 +1,17 @@
+import warnings
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy import inf
 
-from echogrid import Frame, Robot, build_map
+from echogrid import DoubtWarning, Frame, Log, Robot, build_map
 from echogrid.doubts import STAYS
 from echogrid.errors import UsageError
 from echogrid.models.batches import BATCH
 from echogrid.models.model import Evidence, Fusion, Model
+
+pytestmark = pytest.mark.filterwarnings("ignore::echogrid.DoubtWarning")  # places in no order of driving
 
 B21 = Robot.load("b21")
 POINT_LIKE = Robot("point", 0.0, B21.transducer, 0.1, 5.0, B21.beam_width_rad, B21.mounts[::6])
@@ -114,3 +119,48 @@ def test_a_model_that_works_in_turn_reads_no_batch_ahead():
     next(steps)
     assert len(given) == BATCH + 1
     del steps
+
+
+def driven(count=200, sonars=4):
+    """Frames of a faultless drive, in a circle."""
+    rng, angle = np.random.default_rng(5), np.linspace(0, 2 * np.pi, count)
+    poses = np.column_stack([np.cos(angle), np.sin(angle), angle + np.pi / 2])
+    return [Frame(0.2 * i, pose, rng.uniform(0.3, 4.9, sonars)) for i, pose in enumerate(poses)]
+
+
+def doubts(frames, robot=POINT_LIKE):
+    """What is warned of when frames are mapped, and where."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        list(build_map(frames, robot, Visits()))
+    assert all(each.category is DoubtWarning and each.filename == __file__ for each in caught)
+    return [str(each.message) for each in caught]
+
+
+def in_cm(frames):
+    return [replace(each, ranges=np.minimum(100 * each.ranges, 100.0)) for each in frames]
+
+
+@pytest.mark.parametrize("handed_over", [list, iter, Log.of])
+def test_doubts_about_frames_that_no_log_holds_are_warned_of_one_line_a_kind(handed_over):
+    faultless = driven()
+    assert doubts(handed_over(faultless)) == []
+    jumps = [replace(each, pose=each.pose + np.array([3.0 * (i >= 50), 0, 0])) for i, each in enumerate(faultless)]
+    (told,) = doubts(handed_over(jumps))
+    length = np.hypot(*(jumps[50].pose - jumps[49].pose)[:2])
+    assert told.startswith(f"the pose jumps by {length:.2f} m at 10.00 s, faster than any robot")
+    (told,) = doubts(handed_over(in_cm(faultless)))
+    assert "past max_range 5 m" in told
+    cm = in_cm(faultless)
+    far = [replace(each, pose=each.pose + np.array([2e4 * (i in (7, 8)), 0, 0])) for i, each in enumerate(cm)]
+    first, second = sorted(doubts(handed_over(far)))
+    assert (first, "past max_range" in second) == (
+        "a scan left out: its pose is where no robot can have got to (2 times)",
+        True,
+    )
+
+
+def test_a_log_that_knows_its_robot_tells_its_doubts_in_its_notes_alone():
+    log = replace(Log.of(in_cm(driven())), robot=POINT_LIKE)
+    assert doubts(log) == []
+    assert len(log.notes) == 1

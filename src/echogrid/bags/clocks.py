@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.bags.bag_file import Message
-from echogrid.ros.messages import ODOMETRY, RANGE, TF, TF_OLD, few, seconds
+from echogrid.ros.messages import ODOMETRY, RANGE, TF, TF_OLD, few, is_static, seconds
 
 Source = tuple[str, str]
 """A topic, and the frame of a sonar, the frame that moves, or nothing where a message holds all sonars."""
@@ -109,7 +109,7 @@ def _said(message: Message) -> Iterator[tuple[Source, float]]:
     if message.type == RANGE:
         yield (topic, content.frame), content.stamp
     elif message.type in (TF, TF_OLD):
-        if topic.rsplit("/", 1)[-1] != "tf_static":  # what holds at all times may have any
+        if not is_static(topic):  # what holds at all times may have any
             for each in content.transforms:
                 yield (topic, each.child_frame_id.lstrip("/")), seconds(each.header.stamp)
     elif message.type == ODOMETRY:

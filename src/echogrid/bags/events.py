@@ -18,6 +18,7 @@ from echogrid.ros.messages import (
     TF,
     TF_OLD,
     Sonar,
+    is_static,
     points_of,
     put_odometry,
     put_transforms,
@@ -63,20 +64,28 @@ def events(
     robot: Robot | None,
     refused: Counter[str],
     unstamped: Collection[str] | None = None,
+    from_zero: bool = False,
 ) -> Iterator[Event]:
     """The readings in a message; its transforms and poses are put where they belong.
 
     ``unstamped``: topics whose messages have the time when they were recorded; None: each that says no other.
+    ``from_zero``: 0 is a time as any other, as where a simulation begins.
     """
     content, kind = message.content, message.type
     late = message.received if unstamped is not None and message.topic in unstamped else None
     if kind in (TF, TF_OLD):
-        refused.update(put_transforms(transforms, content, message.topic.rsplit("/", 1)[-1] == "tf_static", late))
+        refused.update(put_transforms(transforms, content, is_static(message.topic), late))
     elif kind == ODOMETRY:
         reason = put_odometry(transforms, content, late)
         if reason:
             refused[reason] += 1
-    elif unstamped is not None and late is None and message.received >= BEGIN_S and not stamp_of(message):
+    elif (
+        unstamped is not None
+        and late is None
+        and not stamp_of(message)
+        and not from_zero
+        and message.received >= BEGIN_S
+    ):
         refused[NO_STAMP] += 1
     elif kind == RANGE:
         stamp, frame, field_of_view, low, high, range_m = content

@@ -114,13 +114,16 @@ def _gathered(
             stamp, frame, _, low, high, range_m = content
             if fixes and (fix := fixes.get((topic, frame))):
                 stamp = fix.of(stamp, received)
-            if stamp or received < BEGIN_S or topic in plan.unstamped:
-                take((topic, frame), stamp or received, range_m, low, high)
+            if stamp or plan.from_zero or received < BEGIN_S or topic in plan.unstamped:
+                own = stamp or (plan.from_zero and topic not in plan.unstamped)
+                take((topic, frame), stamp if own else received, range_m, low, high)
             else:
                 refused[NO_STAMP] += 1
         else:
             message, fix = Message(topic, kind, received, content), fixes.get((topic, ""))
-            for sonar, stamp, range_m, _, limits in events(message, transforms, robot, refused, plan.unstamped):
+            for sonar, stamp, range_m, _, limits in events(
+                message, transforms, robot, refused, plan.unstamped, plan.from_zero
+            ):
                 take(sonar, fix.of(stamp, received) if fix else stamp, range_m, *limits)
         if scans.pending:
             yield from scans.frames()

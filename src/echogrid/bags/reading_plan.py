@@ -9,6 +9,7 @@ from echogrid.bags.floor import without_floor
 from echogrid.bags.mounts import described, placed
 from echogrid.bags.survey import Survey
 from echogrid.bags.units import units
+from echogrid.doubts import LEAST_READINGS, ZEROS
 from echogrid.errors import InputError
 from echogrid.robot import Robot, presets_with
 from echogrid.ros.messages import ODOMETRY, RANGE, TF, TF_OLD, Sonar, few, short
@@ -31,6 +32,8 @@ class Plan:
     """Of the survey; those that are static hold throughout."""
     unstamped: frozenset[str]
     """Topics whose messages never say a time, or poses none that can be: theirs is when they were recorded."""
+    from_zero: bool
+    """Whether 0 is a time as any other, as where a simulation begins."""
     fixes: dict[Source, Fix]
     """What makes good stamps of those of sonars whose clock is not that of the poses."""
     scales: dict[int, float]
@@ -85,6 +88,7 @@ def planned(survey: Survey) -> Plan:
         fixed=fixed,
         transforms=survey.transforms,
         unstamped=survey.unstamped | clocks.recorded,
+        from_zero=survey.from_zero,
         fixes=clocks.fixes,
         scales={numbers[sonar]: scale for sonar, scale in judged.scales.items() if sonar in numbers},
         left_out=unused,
@@ -198,7 +202,18 @@ def _clocks(survey: Survey, sonars: list[Sonar], odometry: list[Topic]) -> Judge
 
 
 def _zeros(survey: Survey, sonars: list[Sonar]) -> dict[str, int]:
-    """A note on the sonars that said nothing but 0."""
-    zeros = [sonar for sonar in sonars if survey.heard[sonar].zeros == survey.heard[sonar].readings]
-    count = sum(survey.heard[sonar].zeros for sonar in zeros)
-    return {f"nothing but 0 m, which is no range, from {few(zeros)} in the beginning": count} if zeros else {}
+    """Notes on the sonars that said nothing but 0, and on those that said it often."""
+    heard = {sonar: survey.heard[sonar] for sonar in sonars}
+    zeros = [sonar for sonar in sonars if heard[sonar].zeros == heard[sonar].readings]
+    count = sum(heard[sonar].zeros for sonar in zeros)
+    notes = (
+        {f"nothing but 0 m or less, which is no range, from {few(zeros)} in the beginning": count} if zeros else {}
+    )
+    often = [each for each in sonars if each not in zeros and heard[each].zeros > ZEROS * heard[each].readings]
+    count, readings = (sum(getattr(heard[each], name) for each in often) for name in ("zeros", "readings"))
+    if readings >= LEAST_READINGS:
+        share = f"{count / readings:.0%} of the readings on {few(dict.fromkeys(each.topic for each in often))}"
+        notes[
+            f"{share} are 0 m or less, which is no range: if that is how the sensor says no echo, it has to be +inf"
+        ] = 0
+    return notes

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from math import inf, nan
+from math import inf, isnan, nan
 from pathlib import Path
 
 from jaxtyping import Float
@@ -15,7 +15,7 @@ from echogrid.bags.events import BEGIN_S, Event, events, stamp_of
 from echogrid.bags.topics import choose
 from echogrid.errors import InputError
 from echogrid.robot import MAX_SONARS, Robot
-from echogrid.ros.messages import ODOMETRY, Choice, Sonar
+from echogrid.ros.messages import ODOMETRY, Choice, Sonar, is_static
 from echogrid.ros.sonars import reading
 from echogrid.ros.transforms import Transforms
 
@@ -29,8 +29,9 @@ class Heard:
 
     readings: int = 0
     no_echo: int = 0
+    not_valid: int = 0
     zeros: int = 0
-    """Readings of 0."""
+    """Readings of 0, or less."""
     finite: int = 0
     """Ranges that are positive numbers."""
     below: int = 0
@@ -54,9 +55,11 @@ class Heard:
         if self.readings == 0:
             self.first, self.field_of_view, self.limits = event.stamp, event.field_of_view, event.limits
         self.readings += 1
-        self.last = event.stamp
-        self.no_echo += reading(event.range_m, *event.limits) == inf
-        self.zeros += event.range_m == 0
+        self.first, self.last = min(self.first, event.stamp), event.stamp
+        value = reading(event.range_m, *event.limits)
+        self.no_echo += value == inf
+        self.not_valid += isnan(value)
+        self.zeros += -inf < event.range_m <= 0  # -inf is too close
         if 0 < event.range_m < inf:
             self.finite += 1
             self.below += event.range_m < event.limits[0]
@@ -92,6 +95,8 @@ class Survey:
         """For each frame the topics of odometry that have its pose."""
         self.refused = Counter[str]()
         """What could not be taken, and how often."""
+        self.from_zero = False
+        """Whether 0 is a time as any other: the stamps begin there, though the time of recording does not."""
         self._seen: set[str] = set()
         self._stamped: set[str] = set()
         with BagFile(path) as bag:
@@ -112,8 +117,9 @@ class Survey:
     def _take(self, message: Message) -> None:
         self._seen.add(message.topic)
         self.clocks.hear(message)
-        if message.topic not in self._stamped and (stamp_of(message) or message.received < BEGIN_S):
+        if message.topic not in self._stamped and ((stamp := stamp_of(message)) or message.received < BEGIN_S):
             self._stamped.add(message.topic)
+            self.from_zero |= 0 < stamp < BEGIN_S and not is_static(message.topic)
         if message.type == ODOMETRY:
             child = message.content.child_frame_id.lstrip("/") or "base_link"
             self.posing.setdefault(child, set()).add(message.topic)

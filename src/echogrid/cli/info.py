@@ -8,7 +8,7 @@ import numpy as np
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from echogrid.bags import reader as bag
-from echogrid.bags.clocks import apart
+from echogrid.bags.clocks import APART_S, apart
 from echogrid.bags.survey import Survey
 from echogrid.cli.arguments import Ros, print_notes, robot_arg
 from echogrid.errors import escaped
@@ -47,9 +47,8 @@ def _print_bag(survey: Survey) -> None:
     print("topic                            messages  type")
     for topic in survey.topics:
         print(escaped(f"{topic.name:32} {topic.messages:8}  {topic.type}"))
-    print(
-        "\nsonar (topic, frame)                       rate   x, y, axis on the robot     beam   limits      no echo"
-    )
+    head = "\nsonar (topic, frame)                       rate   x, y, axis on the robot     beam   limits      "
+    print(f"{head}no echo  not valid")
     for sonar in sorted(survey.heard, key=lambda each: each.order):
         heard = survey.heard[sonar]
         place = heard.amiss or "of the robot file"
@@ -60,10 +59,14 @@ def _print_bag(survey: Survey) -> None:
         beam = f"{np.rad2deg(heard.field_of_view):4.0f} deg"
         limits = f"{low:.2f}-{high:.2f} m"
         name = escaped(f"{sonar.topic} {sonar.frame}")
-        print(f"{name:40} {heard.rate:5.1f} Hz  {place:25} {beam}  {limits:11} {heard.no_echo / heard.readings:6.1%}")
+        shares = f"{heard.no_echo / heard.readings:6.1%}  {heard.not_valid / heard.readings:6.1%}"
+        print(f"{name:40} {heard.rate:5.1f} Hz  {place:25} {beam}  {limits:11} {shares}")
     print("\n" + escaped(f"poses         of {survey.base} in {survey.fixed}"))
-    for off, topics in apart(survey.clocks.offsets()).items():
+    offsets = apart(survey.clocks.offsets())
+    for off, topics in offsets.items():
         print(escaped(f"clocks        {few(topics)}: {off} the time of recording"))
+    if not offsets:
+        print(f"clocks        all stamps within {APART_S:g} s of the time of recording")
     print()
 
 
@@ -77,7 +80,7 @@ def _print_contents(info: LogInfo) -> None:
     print(f"drive         {info.length_m:.2f} m within x {x0:.2f} .. {x1:.2f}, y {y0:.2f} .. {y1:.2f} m")
     print(f"fastest       {info.fastest_m_s:.2f} m/s, {np.rad2deg(info.fastest_rad_s):.0f} degrees/s")
     print(f"no echo       {info.no_echo:.1%}")
-    print(f"not fired     {info.not_fired:.1%}")
+    print(f"not valid     {info.not_fired:.1%}, or not fired")
     print(f"stale         {info.stale:.1%} of the finite readings repeat the one before")
     ranges = f"{info.nearest_m:.3f} .. {info.farthest_m:.3f} m, median {info.median_m:.2f} m"
     print(f"ranges        {'none' if np.isnan(info.median_m) else ranges}")

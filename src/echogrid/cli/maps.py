@@ -4,7 +4,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
@@ -115,7 +115,7 @@ class Map:
                 yield frame
 
         begin = time.perf_counter()
-        for grid in build_map(frames(), robot, model, self.resolution, self.half_life):
+        for grid in build_map(replace(log, open=frames, judges=True), robot, model, self.resolution, self.half_life):
             for follower in followers:
                 follower.keep(grid)
         if grid is None:

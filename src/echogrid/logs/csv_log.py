@@ -111,12 +111,13 @@ def _batches(lines: Iterator[tuple[int, bytes]], name: str, first: int) -> Itera
     rows: list[bytes] = []
     size, blank, empty = 0, 0, 0
     for number, line in lines:
-        if line.isspace():
+        odd = line[0] <= _COMMENT  # no number begins so, but for blanks before it
+        if odd and line.isspace():
             blank, empty = blank or number, empty + 1
             if empty > MAX_EMPTY:
                 break
             continue
-        if line[0] == _COMMENT:
+        if odd and line[0] == _COMMENT:
             if rows:
                 yield first, rows
                 rows, size, empty = [], 0, 0

@@ -1,10 +1,13 @@
 """From a log to its map: scans are interpreted, and fused in their order."""
 
+import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from echogrid.frame import Frame
+from echogrid.doubts import Judge
+from echogrid.errors import DoubtWarning
+from echogrid.frame import Frame, Log
 from echogrid.grid import Grid
 from echogrid.mapping.mapper import Mapper
 from echogrid.mapping.registry import DEFAULT
@@ -38,17 +41,21 @@ def build_map(
         The map so far, after each batch of frames: views of the growing arrays, not copies. A model that needs the
         whole log yields once. Frames at places that no robot can have got to are left out (``Whereabouts``).
 
+    What is doubtful about frames that are no log of a robot (a list, a generator, a log without one), and so have no
+    ``Log.notes`` that know its limits, is warned of when all are mapped: a DoubtWarning of one line for each kind.
+
     Raises:
         UsageError: as of ``Mapper`` at once, as of ``Mapper.add`` when the map comes to the frame.
     """
-    return _steps(Mapper(robot, model, resolution, half_life), frames)
+    noted = isinstance(frames, Log) and frames.robot is not None
+    return _steps(Mapper(robot, model, resolution, half_life), frames, None if noted else Judge(robot))
 
 
-def _steps(mapper: Mapper, frames: Iterable[Frame]) -> Iterator[Grid]:
+def _steps(mapper: Mapper, frames: Iterable[Frame], judge: Judge | None) -> Iterator[Grid]:
     ahead = WORKERS if mapper.side_by_side else 0
     with ThreadPoolExecutor(WORKERS) as pool:
         waiting: deque[Future[Evidence]] = deque()
-        for batch in mapper.batches(frames):
+        for batch in mapper.batches(frames, judge):
             # Of one size, for a log is read in less time than another program is compiled.
             waiting.append(pool.submit(mapper.prepare(batch, filled=True)))
             # What comes before it is fused while it is interpreted.
@@ -58,3 +65,6 @@ def _steps(mapper: Mapper, frames: Iterable[Frame]) -> Iterator[Grid]:
         while waiting:
             mapper.fuse(waiting.popleft().result())
             yield mapper.grid()
+    for doubt, count in judge.notes().items() if judge else ():
+        # Told to the line that asks for the maps.
+        warnings.warn(f"{doubt} ({count} times)" if count else doubt, DoubtWarning, stacklevel=2)

@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
-from echogrid.doubts import Whereabouts
-from echogrid.frame import Frame
+from echogrid.doubts import Judge, Whereabouts
+from echogrid.frame import Frame, passing
 from echogrid.grid import Grid, GrowingGrid
 from echogrid.limits import HALF_LIFE, MOST_M, RESOLUTION, Limits
 from echogrid.mapping.intake import check_robot, cleaned, fitting
@@ -105,16 +105,17 @@ class Mapper:
         )
         self._grown.check_room(low - reach, high + 1 + reach)
 
-    def batches(self, frames: Iterable[Frame]) -> Iterator[Sequence[Frame]]:
+    def batches(self, frames: Iterable[Frame], judge: Judge | None = None) -> Iterator[Sequence[Frame]]:
         """Frames of a log in their order, cleaned, as many together as ``prepare`` takes at once.
 
-        Those at places that no robot can have got to are left out, see ``Whereabouts``.
+        Those at places that no robot can have got to are left out, see ``Whereabouts``. A judge sees all of them.
 
         Raises:
             UsageError: as of ``add``, but for the size of the map.
         """
         where = Whereabouts()
         fits = fitting(frames, self.robot, self._latest)
+        fits = passing(fits, judge) if judge else fits
         reached = (frame for frame in fits if where.takes(float(frame.stamp), *map(float, frame.pose[:2])))
         for batch in self._fusion.batches(reached):
             yield cleaned(batch, self.robot)

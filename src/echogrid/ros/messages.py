@@ -83,6 +83,11 @@ class RangeSaid(NamedTuple):
         return RangeSaid(seconds(header.stamp), header.frame_id, message.field_of_view, *limits, message.range)
 
 
+def is_static(topic: str) -> bool:
+    """Whether the transforms on a topic hold at all times."""
+    return topic.rsplit("/", 1)[-1] == "tf_static"
+
+
 def seconds(stamp: Any) -> float:
     """Seconds of a ``builtin_interfaces/Time``."""
     return stamp.sec + stamp.nanosec * 1e-9

@@ -21,6 +21,8 @@ from echogrid.models.classical.sweep import ReadingModel
 from echogrid.models.model import Model
 from echogrid.robot import TRANSDUCERS, Robot
 
+pytestmark = pytest.mark.filterwarnings("ignore::echogrid.DoubtWarning")  # places in no order of driving
+
 SIDE, CELL_M = 41, 0.1
 HALF, MIN_M, MAX_M = np.deg2rad(12.5), 0.26, 5.0
 

@@ -13,6 +13,8 @@ from echogrid.mapping.build import build_map
 from echogrid.models.classical.forward_model import _LEAST_GAIN, ForwardModel
 from echogrid.robot import TRANSDUCERS, Robot
 
+pytestmark = pytest.mark.filterwarnings("ignore::echogrid.DoubtWarning")  # places in no order of driving
+
 CELL_M = 0.25
 LOW, SHAPE = np.array([-8, -8]), (16, 16)
 """The map of the tests: cells from [-8, -8] to [8, 8], that is 2 m each way."""

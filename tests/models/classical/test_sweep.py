@@ -13,6 +13,8 @@ from echogrid.models.batches import WINDOW_M
 from echogrid.models.classical.sweep import Reading, ReadingModel, margin_cells, reading_of, square_side, sweeper
 from echogrid.robot import TRANSDUCERS, Robot
 
+pytestmark = pytest.mark.filterwarnings("ignore::echogrid.DoubtWarning")  # places in no order of driving
+
 B21 = Robot.load("b21")
 CELL_M = 0.1
 

@@ -26,6 +26,8 @@ from echogrid.models.networks.local_map import (
 )
 from echogrid.robot import Robot
 
+pytestmark = pytest.mark.filterwarnings("ignore::echogrid.DoubtWarning")  # places in no order of driving
+
 B21 = Robot.load("b21")
 PRIOR = 0.2
 POINT_LIKE = Robot("point", 0.0, B21.transducer, 0.0, 5.0, B21.beam_width_rad, B21.mounts[::6])

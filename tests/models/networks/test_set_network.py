@@ -54,6 +54,8 @@ from echogrid.robot import Robot
 from echogrid.training.set_lessons import Lessons
 from echogrid.training.set_training import look, orders
 
+pytestmark = pytest.mark.filterwarnings("ignore::echogrid.DoubtWarning")  # places in no order of driving
+
 B21, P3DX = Robot.load("b21"), Robot.load("p3dx")
 SCANS = 6
 UNITS = 12
