@@ -39,14 +39,14 @@ def layout(number: int) -> Suite:
 
 
 def way(rooms_: Suite) -> Float[ndarray, "frames 3"]:
-    """Once round the one room, through the middle of the door, round the other, and back.
+    """Once round the one room, through the middle of the door, and round the other.
 
     A tour would not do: it keeps so far from everything that it leaves narrow doors alone.
     """
     (near, far), (beyond, end), y = LEFT_M, RIGHT_M, ROUND_M
     one = [[near, DOOR_AT_M], [near, y], [far, y], [far, -y], [near, -y], [near, DOOR_AT_M]]
     other = [[beyond, DOOR_AT_M], [beyond, y], [end, y], [end, -y], [beyond, -y], [beyond, DOOR_AT_M]]
-    return along(rooms_.at(np.array([*one, *other, one[0]])))
+    return along(rooms_.at(np.array([*one, *other])))
 
 
 def open_door(grid: Grid, rooms_: Suite, poses: Float[ndarray, "frames 3"], radius: float) -> dict[str, Any]:
