@@ -7,7 +7,7 @@ BIN := .venv/bin
 READY := .venv/ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup map test check format bench study paper generalise peers docs mrpt weights clean
+.PHONY: help setup map test check format bench study paper generalise drivable peers docs mrpt weights clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -73,6 +73,9 @@ mrpt:  ## build the MRPT peer for make paper and make bench (Debian packages, as
 
 generalise: $(READY)  ## measure the set network on rooms, arrays and physics it has not seen (about 20 minutes)
 	$(BIN)/python -m experiments.studies.generalise
+
+drivable: $(READY)  ## measure whether maps can be driven on: doors, many passes, walls, flights (about 40 minutes)
+	$(BIN)/python -m experiments.studies.drivable
 
 weights: $(READY)  ## train the weights that ship (about 40 minutes on 2 cores)
 	$(BIN)/echogrid train --robot any --out src/echogrid/weights/set.npz

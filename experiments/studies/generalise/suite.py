@@ -1,14 +1,14 @@
 """Two rooms of known place with a door between them, turned and shifted against the cells."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid import World
-from echogrid.simulation.world import polyline
+from echogrid.simulation.world import ROUGH_M, SMOOTH_M, polyline
 from experiments.studies.generalise.study import SEED
 
 DEPTHS_M, HALF_M = (3.2, 2.6), 2.0
@@ -29,6 +29,8 @@ class Suite:
     """m."""
     thick: float
     """Of the partition, m; it then has two faces and the door has jambs."""
+    door: float = DOOR_M
+    """Width of the door, m."""
 
     def at(self, xy: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
         """Points of the own frame in the world."""
@@ -45,11 +47,15 @@ def placed(xy: Float[ndarray, "*n 2"], turn: float, shift: Float[ndarray, "2"]) 
     return np.asarray(xy) @ np.array([[c, s], [-s, c]]) + shift
 
 
-def suite(number: int, surface: str, thick: float) -> Suite:
-    """The two rooms in the ``number``-th orientation; none has its walls along the cells."""
+def suite(number: int, surface: str, thick: float, door: float = DOOR_M) -> Suite:
+    """The two rooms in the ``number``-th orientation; none has its walls along the cells.
+
+    ``surface``: smooth, rough, or mixed: rooms and partition are then of unlike walls, which of them is the rough one
+    goes by the number.
+    """
     turn = np.deg2rad(7.0 + 13.0 * number)
     shift = np.random.default_rng([SEED, number]).uniform(-1.0, 1.0, 2)
-    (left, right), low, high, half = DEPTHS_M, DOOR_AT_M - DOOR_M / 2, DOOR_AT_M + DOOR_M / 2, thick / 2
+    (left, right), low, high, half = DEPTHS_M, DOOR_AT_M - door / 2, DOOR_AT_M + door / 2, thick / 2
     outline = polyline([[-left, -HALF_M], [right, -HALF_M], [right, HALF_M], [-left, HALF_M]], closed=True)
     if thick:
         posts = [
@@ -62,7 +68,10 @@ def suite(number: int, surface: str, thick: float) -> Suite:
     walls = placed(walls.reshape(-1, 2), turn, shift).reshape(-1, 4)
     x, y = placed(np.array([-left / 2, 0.0]), turn, shift)
     world = World(f"suite {number}", walls, np.zeros(len(walls)), np.zeros((0, 3)), (float(x), float(y)))
-    return Suite(world.with_walls(surface), turn, shift, thick)
+    if surface == "mixed":
+        rough = (np.arange(len(walls)) < len(outline)) ^ (number % 2 == 0)
+        return Suite(replace(world, roughness=np.where(rough, ROUGH_M, SMOOTH_M)), turn, shift, thick, door)
+    return Suite(world.with_walls(surface), turn, shift, thick, door)
 
 
 def faces(rooms_: Suite) -> Iterator[tuple[str, Float[ndarray, "n 2"], Float[ndarray, "2"]]]:
@@ -79,5 +88,7 @@ def faces(rooms_: Suite) -> Iterator[tuple[str, Float[ndarray, "n 2"], Float[nda
         x = np.concatenate([places(-left, -half), places(half, right)])
         yield "outer", np.column_stack([x, np.full_like(x, sign * HALF_M)]), np.array([0.0, sign])
     if not rooms_.thick:
-        y = np.concatenate([places(-HALF_M, DOOR_AT_M - DOOR_M / 2), places(DOOR_AT_M + DOOR_M / 2, HALF_M)])
+        y = np.concatenate(
+            [places(-HALF_M, DOOR_AT_M - rooms_.door / 2), places(DOOR_AT_M + rooms_.door / 2, HALF_M)]
+        )
         yield "partition", np.column_stack([np.zeros_like(y), y]), np.array([1.0, 0.0])

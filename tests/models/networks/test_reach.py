@@ -206,3 +206,15 @@ def test_an_array_that_is_unplugged_claims_no_floor_past_its_range(model):
     points = grid.centre_of(np.argwhere(grid.observed))
     assert nearest_end(frames, robot, points).min() > -1e-3
     assert np.min(np.hypot(*(points[:, None] - POSES[:, :2]).T), axis=0).max() > robot.footprint_radius_m + 0.3
+
+
+def test_sonars_that_looked_from_elsewhere_are_bound_there_though_the_robot_reaches_past_the_local_map():
+    robot = replace(B21, max_range_m=2.8)
+    assert not ends_within(robot.mounts, robot.max_ranges_m)
+    lag = np.array([-0.6, 0.0, 0.0])
+    mounts = np.array([compose(lag, mount) for mount in robot.mounts])
+    frame = Frame(0.0, np.zeros(3), np.full(robot.sonars, inf), mounts=mounts)
+    *_, grid = build_map([frame], robot, "set-network", CELL_M)
+    left = nearest_end([frame], robot, grid.centre_of(np.argwhere(grid.observed)))
+    assert left.min() > -1e-3
+    assert left.max() > 2.0
