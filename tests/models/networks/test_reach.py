@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from echogrid.errors import DoubtWarning
 from echogrid.frame import Frame
 from echogrid.geometry import compose, wrap
 from echogrid.mapping.build import build_map
@@ -202,7 +203,8 @@ def test_a_map_knows_nothing_past_the_ranges_log_or_live(model, moving, in_turn)
 def test_an_array_that_is_unplugged_claims_no_floor_past_its_range(model):
     robot = replace(B21, max_range_m=0.5)
     frames = [Frame(0.1 * i, pose, np.full(robot.sonars, inf)) for i, pose in enumerate(POSES)]
-    *_, grid = build_map(frames, robot, model, CELL_M)
+    with pytest.warns(DoubtWarning, match="no sonar ever heard an echo"):
+        *_, grid = build_map(frames, robot, model, CELL_M)
     points = grid.centre_of(np.argwhere(grid.observed))
     assert nearest_end(frames, robot, points).min() > -1e-3
     assert np.min(np.hypot(*(points[:, None] - POSES[:, :2]).T), axis=0).max() > robot.footprint_radius_m + 0.3
