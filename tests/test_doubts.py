@@ -37,6 +37,16 @@ def test_a_faultless_drive_is_not_doubted(seed, part):
     assert notes(*drive(seed=seed), part=part) == {}
 
 
+@pytest.mark.parametrize("part", [1, 7, 64, 400, 2000])
+def test_jumps_are_counted_the_same_however_the_frames_come(part):
+    stamps, poses, ranges = drive(2000)
+    for at in (300, 700, 701, 1999):
+        poses[at:, :2] += 3.0
+    (told,) = notes(stamps, poses, ranges, part=part)
+    assert "the pose jumps by 4." in told
+    assert f"at {stamps[300]:.2f} s and 3 times more" in told
+
+
 @pytest.mark.parametrize("unit", [100.0, 1000.0])
 def test_ranges_in_other_units_are_told_with_their_cause(unit):
     stamps, poses, ranges = drive()

@@ -82,7 +82,7 @@ class Whereabouts:
         """Take poses (s, m, m, ..) at once, if all are so near that there can be no doubt; else none is taken."""
         if self._good is None or self._away or not len(rows):
             return not len(rows)
-        if max(np.max(np.abs(rows[:, 1] - self._good[1])), np.max(np.abs(rows[:, 2] - self._good[2]))) > GLITCH_M / 2:
+        if np.abs(rows[:, 1:3] - self._good[1:]).max() > GLITCH_M / 2:
             return False
         self._good = tuple(rows[-1, :3].tolist())
         return True
@@ -140,6 +140,7 @@ class Judge:
         self._robot = robot
         self._last: Float[ndarray, "4"] | None = None
         self._where, self._batches, self._frames = Whereabouts(), 0, 0
+        self._waiting: list[Float[ndarray, "frames 4"]] = []
         self._first_stamp = nan
         self._longest, self._at_longest, self._sonars_at = -inf, 0, np.zeros(0, dtype=bool)
         self._places_at = np.array([inf, inf, -inf, -inf])
@@ -160,7 +161,8 @@ class Judge:
             poses: m, m, rad.
             ranges: m, before or after the robot's limits were applied; +inf no echo, nan not fired or not valid.
         """
-        rows = np.column_stack([stamps, poses])
+        rows = np.empty((len(stamps), 4))
+        rows[:, 0], rows[:, 1:] = stamps, poses
         if not self._where.near(rows):
             kept = [self._where.takes(*row) for row in rows[:, :3].tolist()]
             rows, ranges = rows[kept], ranges[kept]
@@ -170,8 +172,11 @@ class Judge:
         whole = self._frames < _WHOLE or self._batches % _EVERY == 0 or not self.echoes
         self._frames += len(rows)
         if whole:
+            self._see_waiting()
             self._see_ranges(ranges, rows[:, 1:3])
-        self._see_poses(rows, whole)
+            self._see_poses(rows, whole)
+        else:
+            self._waiting.append(rows)
 
     def _see_ranges(self, ranges: Float[ndarray, "frames sonars"], places: Float[ndarray, "frames 2"]) -> None:
         echo = np.isfinite(ranges)
@@ -200,6 +205,12 @@ class Judge:
             low, high = np.minimum(self._places_at[:2], there.min(0)), np.maximum(self._places_at[2:], there.max(0))
             self._places_at[:] = *low, *high
         self._farthest = max(self._farthest, float(np.max(ranges, where=echo, initial=0.0)))
+
+    def _see_waiting(self) -> None:
+        """Look at the poses of batches that were put by: all at once, which costs less."""
+        if self._waiting:
+            rows, self._waiting = np.concatenate(self._waiting), []
+            self._see_poses(rows, whole=False)
 
     def _see_poses(self, rows: Float[ndarray, "frames 4"], whole: bool) -> None:
         """Rows of stamp, x, y, heading; unless they are to be looked at as a whole, for jumps alone."""
@@ -235,6 +246,7 @@ class Judge:
 
     def notes(self) -> dict[str, int]:
         """What is doubtful: a line each, and how often; 0 where that says nothing."""
+        self._see_waiting()
         return self._of_ranges() | self._of_poses()
 
     def _of_ranges(self) -> dict[str, int]:

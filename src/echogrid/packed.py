@@ -13,7 +13,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import BinaryIO, override
+from typing import override
 
 from echogrid.errors import EchogridError, InputError
 from echogrid.files import printable
@@ -56,7 +56,7 @@ def compression_of(path: Path) -> str | None:
 
 
 @contextmanager
-def opened(path: Path, short: int = SHORT_TEXT_BYTES) -> Generator[BinaryIO]:
+def opened(path: Path, short: int = SHORT_TEXT_BYTES) -> Generator[io.BufferedIOBase]:
     """A plain file to be read; one that is compressed is unpacked as it is read.
 
     Args:
@@ -114,7 +114,7 @@ def unpack(path: Path, target: Path) -> None:
 class _Unpacking(io.RawIOBase):
     """The bytes that a compressed file becomes, up to a limit."""
 
-    def __init__(self, file: BinaryIO, kind: str, name: str, limit: int):
+    def __init__(self, file: io.BufferedIOBase, kind: str, name: str, limit: int):
         self._inner = _OPENERS[kind](file, "rb")
         self._kind, self._name, self._limit, self._left = kind, name, limit, limit
 

@@ -112,6 +112,20 @@ def test_the_line_is_right_with_comments_and_another_order(tmp_path, line):
     assert len(frames) == line - 3
 
 
+@given(st.lists(st.sampled_from(["row", "row", "# said", "", " \t"]), max_size=30), st.sampled_from([7, 30, 2**16]))
+def test_what_stands_between_rows_is_told_by_its_line_wherever_the_pieces_end(tmp_path_factory, kinds, size):
+    lines = ["0,0,0,0,1,1", *(f"{i},0,0,0,1,1" if kind == "row" else kind for i, kind in enumerate(kinds, 1))]
+    last = max(i for i, line in enumerate(lines) if line[:1].isdigit())
+    blank = next((i for i, line in enumerate(lines[:last]) if not line.strip()), None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(csv_log, "_PIECE_BYTES", size)
+        path = put(tmp_path_factory.mktemp("log"), rows(*lines))
+        frames, error = drain(load_log(path))
+    good = [i for i, line in enumerate(lines[:blank]) if line[:1].isdigit()]
+    assert [frame.stamp for frame in frames] == good
+    assert (error and error.where) == (None if blank is None else f"{path}:{blank + 2}")
+
+
 def test_points_and_commas_in_one_table_are_no_numbers(tmp_path):
     for comment in ("", "# so that the row is the first of its batch\n"):
         path = put(tmp_path, f"t;x;y;theta;r0\n0;0;0;0;1,5\n{comment}1;0;0;0;1.5\n")

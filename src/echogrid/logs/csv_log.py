@@ -20,14 +20,14 @@ from echogrid.errors import InputError
 from echogrid.files import printable, replacing, unwritable
 from echogrid.frame import Frame, Log, Progress
 from echogrid.logs.csv_header import ODOM, POSE, Header, read_header, recognises
-from echogrid.logs.lines import MAX_LINE, numbered, text_of
+from echogrid.logs.lines import MAX_LINE, blocks, numbered, text_of
 from echogrid.logs.rows import Table, number_of, only_numbers
 from echogrid.robot import Robot
 
 __all__ = ["load", "recognises", "write_csv"]
 
 # One call of numpy's parser costs as much as some ten rows; past a few hundred rows nothing is gained.
-_BATCH_ROWS = 256
+_BATCH_ROWS, _PIECE_BYTES = 256, 2**16
 
 _COMMENT = ord("#")
 
@@ -65,8 +65,7 @@ def _count(path: Path, header: Header) -> int:
 def _frames(path: Path, header: Header, robot: Robot | None, notes: dict[str, int]) -> Iterator[Frame]:
     """Go through the rows; the frames before a wrong row come before its error."""
     name = printable(path)
-    lines = numbered(path)
-    if read_header(lines, name) != header:
+    if read_header(numbered(path), name) != header:
         raise InputError(f"{name}:1", "another header than before", "a log that does not change")
     table = Table(header.columns)
     first_range = header.columns.index("r0")
@@ -74,7 +73,7 @@ def _frames(path: Path, header: Header, robot: Robot | None, notes: dict[str, in
     judge = Judge(robot)
     notes.clear()
     with_commas, order = header.with_commas(name), header.order
-    for first, rows in _batches(lines, name, header.line + 1):
+    for first, rows in _batches(path, header):
         rows, mixed = with_commas(rows, first) if with_commas else (rows, None)
         values, error = _parse(rows, header.names, first, name)
         error = error or mixed
@@ -106,48 +105,74 @@ def _no_rows(name: str) -> InputError:
     return InputError(name, "a header and no rows", "one row a frame")
 
 
-def _batches(lines: Iterator[tuple[int, bytes]], name: str, first: int) -> Iterator[tuple[int, list[bytes]]]:
-    """Group the rows, from line ``first`` on; yields the number of the first line of each group, and its lines."""
-    rows: list[bytes] = []
-    size, blank, empty = 0, 0, 0
-    for number, line in lines:
-        odd = line[0] <= _COMMENT  # no number begins so, but for blanks before it
-        if odd and line.isspace():
-            blank, empty = blank or number, empty + 1
-            if empty > MAX_EMPTY:
-                break
-            continue
-        if odd and line[0] == _COMMENT:
+def _batches(path: Path, header: Header) -> Iterator[tuple[int, list[bytes]]]:
+    """Group the rows; yields the number of the first line of each group, and its lines."""
+    first, rows = header.line + 1, []
+    for number, run in _runs(path, header):
+        if number != first + len(rows):  # behind other lines
             if rows:
                 yield first, rows
-                rows, size, empty = [], 0, 0
-            first, empty = number + 1, empty + 1
-            if empty > MAX_EMPTY:
-                raise InputError(f"{name}:{number}", f"{MAX_EMPTY} comments in a row", "rows between them")
-            continue
-        if blank:
-            break
-        rows.append(line)
-        size += len(line)
-        if len(rows) == _BATCH_ROWS or size > MAX_LINE:
+            first, rows = number, []
+        rows += run
+        while len(rows) >= _BATCH_ROWS:
+            yield first, rows[:_BATCH_ROWS]
+            first, rows = first + _BATCH_ROWS, rows[_BATCH_ROWS:]
+        if sum(map(len, rows)) > MAX_LINE:
             yield first, rows
-            rows, size, first = [], 0, number + 1
-    else:
-        blank = 0
+            first, rows = first + len(rows), []
     if rows:
         yield first, rows
-    if blank:
-        raise InputError(f"{name}:{blank}", "a blank line between rows", "a row")
+
+
+def _runs(path: Path, header: Header) -> Iterator[tuple[int, list[bytes]]]:
+    """Go through the rows, some that stand one below the other at a time.
+
+    Yields:
+        The number of the line where they begin, and their lines; none of them behind each line that is no row.
+
+    Raises:
+        InputError: a blank line between rows, or too many lines that are none.
+    """
+    name, blank, empty = printable(path), 0, 0
+    for number, lines in blocks(path, _PIECE_BYTES):
+        start = max(header.line + 1 - number, 0)
+        for end in (*_no_rows_in(lines, start), len(lines)):
+            if start < end:
+                if blank:
+                    raise _blank_line(name, blank)
+                yield number + start, lines[start:end]
+                empty = 0
+            if end == len(lines):
+                break
+            start, empty = end + 1, empty + 1
+            yield number + start, []
+            if lines[end][0] != _COMMENT:
+                blank = blank or number + end
+                if empty > MAX_EMPTY:
+                    raise _blank_line(name, blank)
+            elif empty > MAX_EMPTY:
+                raise InputError(f"{name}:{number + end}", f"{MAX_EMPTY} comments in a row", "rows between them")
+
+
+def _no_rows_in(lines: list[bytes], start: int) -> list[int]:
+    """Which lines, from one on, are blank or comments."""
+    if start >= len(lines) or min(lines)[0] > _COMMENT:  # no number begins so, but for blanks before it
+        return []
+    odd = (i for i in range(start, len(lines)) if lines[i][0] <= _COMMENT)
+    return [i for i in odd if lines[i][0] == _COMMENT or lines[i].isspace()]
+
+
+def _blank_line(name: str, number: int) -> InputError:
+    return InputError(f"{name}:{number}", "a blank line between rows", "a row")
 
 
 def _parse(
     rows: list[bytes], columns: tuple[str, ...], first: int, name: str
 ) -> tuple[Float[ndarray, "rows columns"], InputError | None]:
     """The numbers of the rows up to the first that is not made of numbers, and that row's error."""
-    text = b"".join(rows)
-    if rows and only_numbers(text):
+    if rows and only_numbers(b"".join(rows)):
         try:
-            values = np.loadtxt(text.decode("ascii").splitlines(), delimiter=",", comments=None, ndmin=2)
+            values = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)
         except ValueError:
             pass  # a wrong row, or an empty field: both need the slow way
         else:

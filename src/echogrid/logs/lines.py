@@ -1,7 +1,7 @@
 """Lines of a text log, in bounded memory."""
 
 import codecs
-import itertools
+import io
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +13,8 @@ from echogrid.packed import opened
 MAX_LINE = 1_000_000
 """A longer line (bytes) is no line of a log; it is refused before it fills the memory."""
 
+_FEW_BYTES = 2**13
+
 
 def quoted(text: bytes | str) -> str:
     """A piece of a file for a message: short, on one line, control characters escaped."""
@@ -22,11 +24,18 @@ def quoted(text: bytes | str) -> str:
 
 
 def numbered(path: Path) -> Iterator[tuple[int, bytes]]:
-    """Go through the lines of a file, numbered from 1, each with its line end; a byte order mark is dropped.
+    """Go through the lines of a file, numbered from 1; otherwise as ``blocks``."""
+    for first, lines in blocks(path):
+        yield from enumerate(lines, first)
 
-    A compressed file is unpacked as it is read.
 
-    No more than one line is in memory.
+def blocks(path: Path, size: int = _FEW_BYTES) -> Iterator[tuple[int, list[bytes]]]:
+    """Go through the lines of a file, some at a time, each with its line end; a byte order mark is dropped.
+
+    A compressed file is unpacked as it is read. No more than ``size`` bytes, or one line, are read at a time.
+
+    Yields:
+        The number of the first of some lines, from 1, and the lines; all those before an error come before it.
 
     Raises:
         InputError: no file, one that cannot be read, or a line longer than MAX_LINE.
@@ -35,13 +44,20 @@ def numbered(path: Path) -> Iterator[tuple[int, bytes]]:
     try:
         _refuse_odd_file(path, name)
         with opened(path) as file:
-            for number in itertools.count(1):
-                line = file.readline(MAX_LINE + 1)
-                if not line:
-                    return
-                if len(line) > MAX_LINE:
+            number, rest = 1, b""
+            while piece := file.read1(size):
+                # Not splitlines, which ends lines at a lone \r too.
+                lines = io.BytesIO(rest + piece).readlines()
+                rest = b"" if lines[-1].endswith(b"\n") else lines.pop()
+                if len(lines[0] if lines else rest) > MAX_LINE:
                     _refuse_long_line(f"{name}:{number}")
-                yield number, line.removeprefix(codecs.BOM_UTF8) if number == 1 else line
+                if lines:
+                    if number == 1:
+                        lines[0] = lines[0].removeprefix(codecs.BOM_UTF8)
+                    yield number, lines
+                    number += len(lines)
+            if rest:
+                yield number, [rest.removeprefix(codecs.BOM_UTF8) if number == 1 else rest]
     except OSError as error:
         raise InputError(name, error.strerror or str(error), "a log file") from None
     except ValueError:
