@@ -1,6 +1,7 @@
 """Robots and their transducers: what they are, and the YAML files that describe them."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -84,10 +85,15 @@ class Robot:
 
     def clean_one(self, range_m: float, sonar: int = 0) -> float:
         """``clean`` for a single reading of a sonar."""
-        longest = self.max_range_m if self.own_max_ranges_m is None else self.own_max_ranges_m[sonar]
-        if range_m >= longest * _SINGLE:
+        least, longest = self._bounds
+        if range_m >= longest[sonar]:
             return np.inf
-        return np.nan if range_m < max(self.min_range_m * _SINGLE, _LEAST_M) else range_m
+        return np.nan if range_m < least else range_m
+
+    @cached_property
+    def _bounds(self) -> tuple[float, list[float]]:
+        """What a single reading is compared with: the minimum range, and the maximum of each sonar, m."""
+        return max(self.min_range_m * _SINGLE, _LEAST_M), (self.max_ranges_m * _SINGLE).tolist()
 
     def __repr__(self) -> str:
         beam = np.rad2deg(self.beam_width_rad)

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 from operator import itemgetter
 from struct import Struct
+from typing import NamedTuple
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader, ReaderError
@@ -15,6 +16,44 @@ _TIME = Struct("<LL").unpack_from
 
 _MESSAGE = 2
 """Operation code of a record with a message."""
+
+
+class _Layout(NamedTuple):
+    """Where the fields stand in the head of a message: whoever writes a bag writes them alike in all."""
+
+    conn: int
+    time: int
+    """Where the values begin, counted from the beginning of the head."""
+    parts: tuple[tuple[int, int, bytes], ...]
+    """What stands before, between and behind the two: begin, end, and bytes, the operation code among them."""
+
+    @staticmethod
+    def of(data: bytes, head: int, body: int, values: dict[bytes, int]) -> "_Layout":
+        """That of the head of a message, between two places, whose values begin where ``_places`` says."""
+        conn, time = values[b"conn"] - head, values[b"time"] - head
+        one, other = sorted([(conn, conn + 4), (time, time + 8)])
+        parts = ((0, one[0]), (one[1], other[0]), (other[1], body - head))
+        return _Layout(conn, time, tuple((begin, end, data[head + begin : head + end]) for begin, end in parts))
+
+    def fits(self, data: bytes, head: int, body: int) -> bool:
+        """Whether the head between two places is of this layout, and of a message."""
+        (_, one, first), (two, three, second), (four, five, third) = self.parts
+        return (
+            body - head == five
+            and data[head : head + one] == first
+            and data[head + two : head + three] == second
+            and data[head + four : body] == third
+        )
+
+
+def _places(data: bytes, head: int, body: int) -> dict[bytes, int]:
+    """Where the value of each field begins in a head between two places."""
+    values: dict[bytes, int] = {}
+    while head < body:
+        sign = data.index(b"=", head + 4)
+        values[data[head + 4 : sign]] = sign + 1
+        head += 4 + _SIZE(data, head)[0]
+    return values
 
 
 class StreamedBag(Reader):
@@ -70,20 +109,19 @@ class StreamedBag(Reader):
         file.seek(chunk.datapos)
         data = chunk_of_ros1(file.read(chunk.datasize), chunk.decompressor)
         place, end = 0, len(data)
+        layout: _Layout | None = None
         while place < end:
             head = place + 4
             body = head + _SIZE(data, place)[0]
             place = body + 4 + _SIZE(data, body)[0]
             if place > end:
                 raise ReaderError("a record that ends outside of its chunk")
-            values: dict[bytes, int] = {}
-            while head < body:
-                sign = data.index(b"=", head + 4)
-                values[data[head + 4 : sign]] = sign + 1
-                head += 4 + _SIZE(data, head)[0]
-            if data[values[b"op"]] != _MESSAGE:
-                continue
-            (number,) = _SIZE(data, values[b"conn"])
+            if layout is None or not layout.fits(data, head, body):
+                values = _places(data, head, body)
+                if data[values[b"op"]] != _MESSAGE:
+                    continue
+                layout = _Layout.of(data, head, body, values)
+            (number,) = _SIZE(data, head + layout.conn)
             if number in wanted:
-                sec, nsec = _TIME(data, values[b"time"])
+                sec, nsec = _TIME(data, head + layout.time)
                 yield sec * 10**9 + nsec, number, data[body + 4 : place]

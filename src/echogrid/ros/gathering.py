@@ -97,11 +97,13 @@ class Scans:
         else:
             self._learn(stamp - before)
         self._heard[sonar] = stamp
-        self._newest = max(self._newest, stamp)
+        if stamp > self._newest:
+            self._newest = stamp
         if not self._gathering:
             self._first = self._last = stamp
+        elif stamp > self._last:
+            self._last = stamp
         self._gathering[sonar] = stamp, range_m
-        self._last = max(self._last, stamp)
         if len(self._gathering) >= len(self._awaited) and self._awaited <= self._gathering.keys():
             self._close()
         return None
