@@ -4,7 +4,7 @@ Who has a clock of its own (a board that counts from its start, a computer that 
 elsewhere than those that were recorded in the same moments; who fills in its stamps wrongly stamps them all over.
 """
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -104,18 +104,16 @@ class Clocks:
         return {topic: float(np.median(each[:, 1] - each[:, 0])) for topic, each in both.items()}
 
 
-def _said(message: Message) -> Iterator[tuple[Source, float]]:
+def _said(message: Message) -> list[tuple[Source, float]]:
     content, topic = message.content, message.topic
     if message.type == RANGE:
-        yield (topic, content.frame), content.stamp
-    elif message.type in (TF, TF_OLD):
-        if not is_static(topic):  # what holds at all times may have any
-            for each in content.transforms:
-                yield (topic, each.child_frame_id.lstrip("/")), seconds(each.header.stamp)
-    elif message.type == ODOMETRY:
-        yield (topic, (content.child_frame_id or "base_link").lstrip("/")), seconds(content.header.stamp)
-    else:
-        yield (topic, ""), seconds(content.header.stamp)
+        return [((topic, content.frame), content.stamp)]
+    if message.type in (TF, TF_OLD):
+        if is_static(topic):  # what holds at all times may have any
+            return []
+        return [((topic, each.child_frame_id.lstrip("/")), seconds(each.header.stamp)) for each in content.transforms]
+    frame = (content.child_frame_id or "base_link").lstrip("/") if message.type == ODOMETRY else ""
+    return [((topic, frame), seconds(content.header.stamp))]
 
 
 class Judgement(NamedTuple):

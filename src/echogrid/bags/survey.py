@@ -55,15 +55,16 @@ class Heard:
         if self.readings == 0:
             self.first, self.field_of_view, self.limits = event.stamp, event.field_of_view, event.limits
         self.readings += 1
-        self.first, self.last = min(self.first, event.stamp), event.stamp
-        value = reading(event.range_m, *event.limits)
+        _, stamp, range_m, _, (low, high) = event
+        self.first, self.last = min(self.first, stamp), stamp
+        value = reading(range_m, low, high)
         self.no_echo += value == inf
         self.not_valid += isnan(value)
-        self.zeros += -inf < event.range_m <= 0  # -inf is too close
-        if 0 < event.range_m < inf:
+        self.zeros += -inf < range_m <= 0  # -inf is too close
+        if 0 < range_m < inf:
             self.finite += 1
-            self.below += event.range_m < event.limits[0]
-            self.ranges.add(event.range_m)
+            self.below += range_m < low
+            self.ranges.add(range_m)
 
     @property
     def rate(self) -> float:
@@ -124,9 +125,12 @@ class Survey:
             child = message.content.child_frame_id.lstrip("/") or "base_link"
             self.posing.setdefault(child, set()).add(message.topic)
         for event in events(message, self.transforms, self.robot, self.refused):
-            if event.sonar not in self.heard and len(self.heard) >= MAX_SONARS:
-                raise InputError(self.name, f"more than {MAX_SONARS} sonars", f"{MAX_SONARS} at most")
-            self.heard.setdefault(event.sonar, Heard()).count(event)
+            heard = self.heard.get(event.sonar)
+            if heard is None:
+                if len(self.heard) >= MAX_SONARS:
+                    raise InputError(self.name, f"more than {MAX_SONARS} sonars", f"{MAX_SONARS} at most")
+                heard = self.heard[event.sonar] = Heard()
+            heard.count(event)
 
     @property
     def unstamped(self) -> frozenset[str]:
