@@ -1,6 +1,8 @@
 """The occupancy grid in log-odds: index <-> metre, growth, fusion by Bayes' rule, refinement by a mask."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -86,6 +88,35 @@ class Grid:
         p = self.probability()[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
         return np.where(inside, p, 0.5)
 
+    def in_cells_of(self, resolution: float) -> "Grid":
+        """The same map in cells of another size (m), which lie on the multiples of that.
+
+        A larger cell is as occupied as the most occupied of those whose middle it holds, one of which nobody spoke
+        being neither: no wall is lost, and what is not wholly known to be free is not free. It counts as observed if
+        one of them is.
+        """
+        index, first = [], []
+        for count, low in zip(self.shape, self.origin[::-1], strict=True):
+            begin = round(low / self.resolution)
+            cells = np.arange(np.floor(begin * self.resolution / resolution + 1e-6),
+                              np.ceil((begin + count) * self.resolution / resolution - 1e-6))  # fmt: skip
+            # Of a smaller cell: where its middle lies.
+            at = np.floor((cells + 0.5) * resolution / self.resolution + 1e-6).astype(int) - begin
+            if resolution > self.resolution:
+                at = np.ceil(cells * resolution / self.resolution - 0.5 - 1e-6).astype(int) - begin
+            index.append(np.clip(at, 0, max(count - 1, 0)))
+            first.append(float(cells[0] * resolution) if cells.size else 0.0)
+        if not all(len(each) for each in index):
+            return Grid(self.log_odds, self.observed, resolution, (first[1], first[0]), self.views)
+
+        def taken(values: ndarray) -> ndarray:
+            if resolution <= self.resolution:
+                return values[np.ix_(*index)]
+            return np.maximum.reduceat(np.maximum.reduceat(values, index[0], axis=0), index[1], axis=1)
+
+        views = None if self.views is None else taken(self.views)
+        return Grid(taken(self.log_odds), taken(self.observed), resolution, (first[1], first[0]), views)
+
     def part(self, first: Int[ndarray, "2"], shape: tuple[int, int]) -> "Grid":
         """A rectangle of cells, a copy without views; what lies outside of the grid is not observed.
 
@@ -130,6 +161,25 @@ class Grid:
         cleared = np.where((votes <= 1) & (self.log_odds > 0), 0.0, filled)
         log_odds = np.where(self.observed, cleared, self.log_odds).astype(np.float32)
         return Grid(log_odds, self.observed, self.resolution, self.origin, self.views)
+
+
+class UnreadGrid(Grid):
+    """A map that is read out when somebody looks at it: most maps on the way of a drive nobody looks at."""
+
+    def __init__(self, read: Callable[[], Grid]):
+        """``read`` is called once, at the first look."""
+        object.__setattr__(self, "_read", read)
+
+    def __getattribute__(self, name: str) -> Any:
+        own = object.__getattribute__(self, "__dict__")
+        if name in _CELLS and name not in own:
+            read = own["_read"]()
+            for each in _CELLS:
+                object.__setattr__(self, each, getattr(read, each))
+        return object.__getattribute__(self, name)
+
+
+_CELLS = tuple(each.name for each in fields(Grid))
 
 
 def covered(
@@ -271,36 +321,55 @@ class GrowingGrid:
         cells["log_odds"] += evidence
         cells["observed"] |= spoken
 
-    def overlap(self, corner: Int[ndarray, "2"], shape: tuple[int, int]) -> Layers:
-        """The layers of the part of a rectangle that was reserved, as views to read and to write.
+    def reserved(
+        self, corner: Int[ndarray, "2"] | None = None, shape: tuple[int, int] | None = None
+    ) -> tuple[Int[ndarray, "2"], tuple[int, int]]:
+        """What was reserved so far of a rectangle of cells, or of all: its first cell, its rows and columns.
+
+        Args:
+            corner: first cell [row, col] of the rectangle, counted from the world's origin.
+            shape: its rows and columns.
+        """
+        if not self._layers["log_odds"].size:
+            return np.zeros(2, dtype=np.int64), (0, 0)
+        low, high = self._low, self._high
+        if corner is not None and shape is not None:
+            low = np.clip(low, corner, corner + shape)
+            high = np.clip(high, low, corner + shape)
+        rows, cols = (int(n) for n in high - low)
+        return low, (rows, cols)
+
+    def copied(self, corner: Int[ndarray, "2"], shape: tuple[int, int], names: Iterable[str]) -> Layers:
+        """Some layers of a rectangle of cells, which may reach past what was reserved: copies, blank there.
 
         Args:
             corner: its first cell [row, col], counted from the world's origin.
             shape: its rows and columns.
+            names: of the layers.
         """
-        if not self._layers["log_odds"].size:
-            return self._layers
-        low = np.clip(self._low, corner, corner + shape)
-        high = np.clip(self._high, low, corner + shape)
-        rows, cols = (int(n) for n in high - low)
-        return self.window(low, (rows, cols))
+        low, size = self.reserved(corner, shape)
+        to = tuple(slice(int(a), int(a) + n) for a, n in zip(low - corner, size, strict=True))
+        held, copies = self.window(low, size), {}
+        for name in names:
+            blank = self._blank[name]
+            copies[name] = np.full((*shape, *blank.shape), blank, dtype=blank.dtype)
+            if all(size):
+                copies[name][to] = held[name]
+        return copies
 
     def part(self, corner: Int[ndarray, "2"], shape: tuple[int, int]) -> Grid:
         """A rectangle of the map, a copy; nobody has spoken of what lies outside of what was reserved.
 
         Args:
-            corner: as for ``overlap``.
-            shape: likewise.
+            corner: its first cell [row, col], counted from the world's origin.
+            shape: its rows and columns.
         """
         begin = self._low if self._layers["log_odds"].size else np.zeros(2, dtype=np.int64)
         return self.grid().part(corner - begin, shape)
 
     def layers(self) -> Layers:
         """All layers of the part of the map that has been reserved so far, as views to read and to write."""
-        if not self._layers["log_odds"].size:
-            return self._layers
-        rows, cols = (int(n) for n in self._high - self._low)
-        return self.window(self._low, (rows, cols))
+        return self.window(*self.reserved()) if self._layers["log_odds"].size else self._layers
 
     def grid(self) -> Grid:
         """The part of the map that has been reserved so far, as views of the arrays (not copies).

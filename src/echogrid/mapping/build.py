@@ -8,7 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from echogrid.doubts import Judge
 from echogrid.errors import DoubtWarning
 from echogrid.frame import Frame, Log
-from echogrid.grid import Grid
+from echogrid.grid import Grid, UnreadGrid
 from echogrid.mapping.mapper import Mapper
 from echogrid.mapping.registry import DEFAULT
 from echogrid.models.model import Evidence, Model
@@ -38,8 +38,9 @@ def build_map(
         half_life: time in which evidence comes to count half, s, for places that change; None: it never fades.
 
     Yields:
-        The map so far, after each batch of frames: views of the growing arrays, not copies. A model that needs the
-        whole log yields once. Frames at places that no robot can have got to are left out (``Whereabouts``).
+        The map so far, after each batch of frames: views of the growing arrays, not copies, read out when somebody
+        first looks at them. A model that needs the whole log yields once. Frames at places that no robot can have got
+        to are left out (``Whereabouts``).
 
     What is doubtful about frames that are no log of a robot (a list, a generator, a log without one), and so have no
     ``Log.notes`` that know its limits, is warned of when all are mapped: a DoubtWarning of one line for each kind.
@@ -61,10 +62,10 @@ def _steps(mapper: Mapper, frames: Iterable[Frame], judge: Judge | None) -> Iter
             # What comes before it is fused while it is interpreted.
             if len(waiting) > ahead:
                 mapper.fuse(waiting.popleft().result())
-                yield mapper.grid()
+                yield UnreadGrid(mapper.grid)
         while waiting:
             mapper.fuse(waiting.popleft().result())
-            yield mapper.grid()
+            yield UnreadGrid(mapper.grid)
     for doubt, count in judge.notes().items() if judge else ():
         # Told to the line that asks for the maps.
         warnings.warn(f"{doubt} ({count} times)" if count else doubt, DoubtWarning, stacklevel=2)

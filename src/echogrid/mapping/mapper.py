@@ -50,7 +50,9 @@ class Mapper:
         self.resolution = model.cell_m if resolution is None else RESOLUTION.check(resolution, "resolution")
         half_life = None if half_life is None else HALF_LIFE.check(half_life, "half_life")
         self._fusion = model.fusion(robot, self.resolution, half_life)
-        self._grown = GrowingGrid(self.resolution, self._fusion.blank)
+        self.cell_m = self._fusion.cell_m or self.resolution
+        """Side of the cells in which the map is kept, m; it is told in cells of ``resolution``."""
+        self._grown = GrowingGrid(self.cell_m, self._fusion.blank)
         # Where nothing fades the stamps decide nothing, and scans may come in any order.
         self._latest = None if half_life is None else -np.inf
 
@@ -99,9 +101,9 @@ class Mapper:
         )
         if far:  # scans of models that take them apart are put where a sonar looked from
             far = np.sqrt(2) * (far + float(np.max(np.abs(self.robot.mounts[:, :2]))))
-        reach = self._fusion.reach_cells + int(np.ceil(far / self.resolution))
+        reach = self._fusion.reach_cells + int(np.ceil(far / self.cell_m))
         low, high = (
-            np.floor(each / self.resolution).astype(np.int64) for each in (places.min(axis=0), places.max(axis=0))
+            np.floor(each / self.cell_m).astype(np.int64) for each in (places.min(axis=0), places.max(axis=0))
         )
         self._grown.check_room(low - reach, high + 1 + reach)
 
@@ -137,9 +139,10 @@ class Mapper:
         self._fusion.fuse(self._grown, evidence)
 
     def grid(self) -> Grid:
-        """The map so far: views of the growing arrays, not copies."""
-        self._fusion.read_out(self._grown.layers())
-        return self._grown.grid()
+        """The map so far: views of the growing arrays, not copies, where it is kept in cells of ``resolution``."""
+        self._fusion.read_out(self._grown, *self._grown.reserved())
+        grid = self._grown.grid()
+        return grid if self.cell_m == self.resolution else grid.in_cells_of(self.resolution)
 
     def around(self, x: float, y: float, side_m: float) -> Grid:
         """A square of the map round a point, a copy.
@@ -156,5 +159,9 @@ class Mapper:
         side_m = Limits(self.resolution, self.resolution * _MOST_AROUND, "m").check(side_m, "around: side_m")
         cells = round(side_m / self.resolution)
         corner = np.floor(np.array([y, x]) / self.resolution).astype(np.int64) - cells // 2
-        self._fusion.read_out(self._grown.overlap(corner, (cells, cells)))
-        return self._grown.part(corner, (cells, cells))
+        low = np.floor(corner * self.resolution / self.cell_m).astype(np.int64) - 1
+        high = np.ceil((corner + cells) * self.resolution / self.cell_m).astype(np.int64) + 1
+        held = (int(high[0] - low[0]), int(high[1] - low[1]))
+        self._fusion.read_out(self._grown, *self._grown.reserved(low, held))
+        grid = self._grown.part(low, held).in_cells_of(self.resolution)
+        return grid.part(corner - np.rint(np.array(grid.origin[::-1]) / self.resolution).astype(int), (cells, cells))

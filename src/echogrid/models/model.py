@@ -45,6 +45,8 @@ class Fusion(ABC):
     """Whether batches are worth working out side by side; not where the work is done in ``fuse``."""
     reach_cells: int = 0
     """How far, at most, the window of ``Evidence`` reaches past the places of the robot in its scans."""
+    cell_m: float | None = None
+    """Side of the cells in which it fuses, m, where that is its own; None: what the map is asked for."""
 
     def __init__(self, robot: Robot):
         self.equip(robot)
@@ -71,8 +73,14 @@ class Fusion(ABC):
     def fuse(self, grown: GrowingGrid, evidence: Evidence) -> None:
         """Add what a batch tells to a map in which its window has been reserved."""
 
-    def read_out(self, cells: Layers) -> None:  # noqa: B027 - most fuse in full
-        """Bring ``log_odds`` and ``observed`` of some cells up to date, where ``fuse`` leaves them behind."""
+    def read_out(self, grown: GrowingGrid, corner: Int[ndarray, "2"], shape: tuple[int, int]) -> None:  # noqa: B027
+        """Bring ``log_odds`` and ``observed`` of a rectangle of cells up to date; most models fuse in full.
+
+        Args:
+            grown: the map; all of the rectangle has been reserved in it.
+            corner: the first cell [row, col], counted from the world's origin.
+            shape: rows and columns.
+        """
 
 
 class Model(ABC):

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.robot import Robot, Transducer, preset_names
-from echogrid.simulation.acoustics import Physics
+from echogrid.simulation.acoustics import Physics, speed_of_sound
 from echogrid.simulation.world import ROUGH_M, SMOOTH_M, World, polyline
 
 Shape = tuple[list[Float[ndarray, "walls 4"]], list[list[float]]]
@@ -135,12 +135,49 @@ def clutter(rng: np.random.Generator) -> Shape:
     return groups, cylinders
 
 
+def flat(rng: np.random.Generator) -> Shape:
+    """Two to four rooms in a row or round a corner, with doors of 0.65 to 1.2 m in walls of any thickness."""
+    w, h = rng.uniform(4.5, 9.0), rng.uniform(2.4, 4.5)
+    corners = np.array([[0, 0], [w, 0], [w, h], [0, h]])
+    groups = [polyline([a, b]) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+    thick = float(rng.choice([0.0, rng.uniform(0.03, 0.12), rng.uniform(0.1, 0.3)]))
+    across = np.sort(rng.uniform(0.25 * w, 0.75 * w, rng.integers(1, 3)))
+    across = across[np.append(True, np.diff(across) > 1.3)]
+    for x in across:
+        groups += _parted(rng, h, thick, lambda p, x=x: p[:, ::-1] + np.array([x, 0.0]))
+    if len(across) == 1 and w - across[0] > 2.4 and h > 2.8:
+        y, begin = rng.uniform(0.4, 0.6) * h, across[0]
+        groups += _parted(rng, w - begin, thick, lambda p: p + np.array([begin, y]))
+    cylinders = [[rng.uniform(0.2, w - 0.2), rng.uniform(0.2, h - 0.2), rng.uniform(0.02, 0.2)]]
+    return groups, cylinders[: rng.integers(0, 2)]
+
+
+def _parted(
+    rng: np.random.Generator,
+    length: float,
+    thick: float,
+    at: Callable[[Float[ndarray, "n 2"]], Float[ndarray, "n 2"]],
+) -> list[Float[ndarray, "walls 4"]]:
+    """A wall of a length and thickness (m) along x with a door in it, placed by ``at``: its two parts."""
+    door = rng.uniform(0.65, 1.2)
+    begin = rng.uniform(0.1, max(0.15, length - door - 0.1))
+    parts = []
+    for a, b in ((0.0, begin), (begin + door, length)):
+        if b - a < 0.06:
+            continue
+        half = thick / 2
+        box = np.array([[a, -half], [b, -half], [b, half], [a, half]]) if thick else np.array([[a, 0.0], [b, 0.0]])
+        parts.append(polyline(at(box), closed=bool(thick)))
+    return parts
+
+
 SHAPES: dict[str, Callable[[np.random.Generator], Shape]] = {
     "contour": contour,
     "room": room,
     "corridor": corridor,
     "hall": hall,
     "clutter": clutter,
+    "flat": flat,
 }
 """Generators of worlds by name."""
 
@@ -200,13 +237,55 @@ def _preset_mounts() -> tuple[Float[ndarray, "sonars 3"], ...]:
     return tuple(Robot.load(name).mounts for name in preset_names())
 
 
-def random_robot(rng: np.random.Generator, most: int = 24) -> Robot:
-    """A preset, an even ring, an uneven array, a fan to the front, or a few sonars, with a random transducer.
+def told_beam(rng: np.random.Generator, transducer: Transducer) -> float:
+    """The beam width (rad) that somebody writes of a transducer: about twice the angle of its first null."""
+    null = np.arcsin(min(1.0, 0.61 * 343.0 / transducer.frequency_hz / transducer.aperture_radius_m))
+    return float(np.clip(2 * null * np.exp(0.25 * rng.standard_normal()), np.deg2rad(2.0), np.deg2rad(90.0)))
 
-    Rings have up to ``most`` sonars.
+
+def frank_sensing(rng: np.random.Generator) -> tuple[Physics, Transducer]:
+    """A ranger that reads the nearest thing in a cone of 3 to 50 degrees, however that is turned to it.
+
+    Such are rangers that time infrared light; all walls are to be rough for them.
     """
-    kind = rng.choice(["preset", "ring", "uneven", "front", "few"], p=[0.35, 0.15, 0.1, 0.1, 0.3])
-    limits = (rng.uniform(0.1, 0.3), rng.choice([2.5, 3.0, 4.0, 5.0, 6.0, 10.0]))
+    half = np.exp(rng.uniform(np.log(np.deg2rad(1.5)), np.log(np.deg2rad(25.0))))
+    frequency = 50e3
+    head = Transducer("custom", frequency, 0.61 * speed_of_sound(20.0) / frequency / np.sin(half), cycles=1)
+    physics = Physics(
+        beam="cone",
+        level_db=70.0,
+        diffuse_db=20.0,
+        reflection_loss_db=1.0,
+        edge_db=-10.0,
+        level_noise_db=0.5,
+        walk_error=0.0,
+        range_noise=rng.uniform(0.003, 0.03),
+        range_scale=rng.uniform(0, 0.02),
+        lost=rng.choice([0.0, rng.uniform(0, 0.1)]),
+        stale=rng.choice([0.0, 0.0, rng.uniform(0, 0.3)]),
+    )
+    return physics, head
+
+
+def random_limits(rng: np.random.Generator, count: int) -> tuple[float, float, Float[ndarray, "sonars"] | None]:
+    """Minimum and maximum range (m), and the maximum of each of some sonars where they differ."""
+    if rng.random() < 0.25:
+        high = np.exp(rng.uniform(np.log(0.3), np.log(2.5)))
+    else:
+        high = rng.choice([2.5, 3.0, 4.0, 5.0, 6.0, 10.0])
+    low = min(rng.uniform(0.02, 0.3), 0.25 * high)
+    if count < 2 or rng.random() > 0.12:
+        return float(low), float(high), None
+    own = np.exp(rng.uniform(np.log(0.3), np.log(8.0), rng.integers(2, 4)))[rng.integers(0, 2, count)]
+    return float(min(low, 0.25 * own.min())), float(own.max()), own if np.ptp(own) else None
+
+
+def random_robot(rng: np.random.Generator, most: int = 24) -> Robot:
+    """A preset, an even ring, an uneven array, a fan to the front, a few sonars, or rays to four sides.
+
+    With a random transducer. Rings have up to ``most`` sonars.
+    """
+    kind = rng.choice(["preset", "ring", "uneven", "front", "few", "sides"], p=[0.33, 0.17, 0.1, 0.1, 0.25, 0.05])
     if kind == "preset":
         mounts = _preset_mounts()[rng.integers(0, len(_preset_mounts()))]
     else:
@@ -218,6 +297,11 @@ def random_robot(rng: np.random.Generator, most: int = 24) -> Robot:
         elif kind == "front":
             half = rng.uniform(0.6, 1.9)
             axis = np.linspace(-half, half, rng.integers(4, 11))
+        elif kind == "sides":
+            # As of rangers with zones, or one of few to each side.
+            zones, half = int(rng.integers(1, min(8, most // 4) + 1)), np.deg2rad(rng.uniform(10, 22.5))
+            axis = np.concatenate([side + (np.arange(zones) + 0.5 - zones / 2) * (2 * half / zones) for side in
+                                   np.arange(4) * np.pi / 2])  # fmt: skip
         else:
             # A fan to the front and one sonar to each side, as on most small robots.
             half = rng.uniform(0.2, 1.0)
@@ -226,4 +310,5 @@ def random_robot(rng: np.random.Generator, most: int = 24) -> Robot:
         axis = axis + rng.choice([0.0, 0.03]) * rng.standard_normal(len(axis))
         mounts = np.column_stack([radius * np.cos(axis), radius * np.sin(axis), axis])
     footprint = max(0.1, float(np.max(np.hypot(mounts[:, 0], mounts[:, 1])))) + 0.02
-    return Robot("random", footprint, random_transducer(rng), *limits, np.deg2rad(25.0), mounts)
+    head, (low, high, own) = random_transducer(rng), random_limits(rng, len(mounts))
+    return Robot("random", footprint, head, low, high, told_beam(rng, head), mounts, own)

@@ -1,7 +1,7 @@
 """Simulated short drives through random worlds, for training: each in a world and under a physics of its own."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,14 @@ from echogrid.robot import Robot
 from echogrid.simulation.acoustics import Physics, acoustics
 from echogrid.simulation.drive import truth_of
 from echogrid.simulation.echo import Scene
-from echogrid.simulation.rooms import random_physics, random_robot, random_transducer, random_world
+from echogrid.simulation.rooms import (
+    frank_sensing,
+    random_physics,
+    random_robot,
+    random_transducer,
+    random_world,
+    told_beam,
+)
 from echogrid.simulation.simulate import drives_ranges, sonar_poses
 from echogrid.simulation.world import World
 
@@ -48,6 +55,8 @@ class Kind:
     """Side of the truth's cells, m."""
     reach_m: float
     """How far the truth reaches from the path, m."""
+    frank_share: float = 0.0
+    """How many of the robots have rangers as of ``frank_sensing``."""
 
 
 @dataclass(frozen=True)
@@ -161,9 +170,18 @@ def _begin[T: tuple](
     """Lay out a chunk of drives and set the simulator on them; the result waits for it and learns."""
     most = most_sonars(rng)
     batch = [random_drive(rng, robot or random_robot(rng, most), kind) for _ in range(_CHUNK)]
-    physics = [random_physics(rng) for _ in batch]
-    heads = [d.robot.transducer if robot and rng.random() < 0.5 else random_transducer(rng) for d in batch]
-    scenes = _stack([Scene.of(d.world, _WALLS, _TARGETS) for d in batch])
+    physics, heads, worlds = [], [], []
+    for i, d in enumerate(batch):
+        frank = robot is None and rng.random() < kind.frank_share
+        sound, head = frank_sensing(rng) if frank else (random_physics(rng), d.robot.transducer)
+        if robot and rng.random() < 0.5:
+            head = random_transducer(rng)
+        if frank:
+            batch[i] = replace(d, robot=replace(d.robot, transducer=head, beam_width_rad=told_beam(rng, head)))
+        physics.append(sound)
+        heads.append(head)
+        worlds.append(d.world.with_walls("rough") if frank else d.world)
+    scenes = _stack([Scene.of(world, _WALLS, _TARGETS) for world in worlds])
     air = _stack([acoustics(head, p) for head, p in zip(heads, physics, strict=True)])
     # One size for all of a chunk, and few sizes in all: each is compiled for.
     placed = np.zeros((_CHUNK, kind.frames, robot.sonars if robot else most, 3), dtype=np.float32)

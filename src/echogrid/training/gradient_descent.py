@@ -52,6 +52,10 @@ class Recipe[E: tuple](ABC):
     def fit(self, examples: E, checkpoint: Path | None, key: str, progress: bool) -> Network | SetNetwork:
         """Train on it, with the arguments of ``descend``."""
 
+    def then(self, network: Any) -> "Recipe | None":
+        """What is to be trained next on what this made; None: nothing."""
+        return None
+
 
 @partial(jax.jit, static_argnames=("optimiser", "loss_of"))
 def _step(optimiser, loss_of, weights, state, batch, draw):
@@ -133,6 +137,22 @@ def train(robot: Robot | None, recipe: Recipe, out: Path, progress: bool = False
     if not out.parent.is_dir():
         raise UsageError(f"--out: found no folder {out.parent}, expected a file in a folder that exists")
     told = {"robot": "any" if robot is None else robot_yaml(robot), **recipe.told(), "echogrid": __version__}
+    network, made = _fitted(recipe, robot, out, told, progress)
+    further = recipe.then(network)
+    if further is not None:
+        network, more = _fitted(further, robot, out.with_suffix(".maps.npz"), told | further.told(), progress)
+        made += more
+    network = replace(network, recipe=told | network.recipe)
+    network.save(out)
+    for file in made:
+        file.unlink()
+    return network
+
+
+def _fitted(
+    recipe: Recipe, robot: Robot | None, out: Path, told: dict[str, Any], progress: bool
+) -> tuple[Network | SetNetwork, list[Path]]:
+    """A network of a recipe, and the files from which it is taken up again."""
     key = hashlib.sha256(json.dumps(told).encode()).hexdigest()
     drives_file, checkpoint = out.with_suffix(".drives.npz"), out.with_suffix(".checkpoint.npz")
     kept = _read_arrays(drives_file, key)
@@ -143,12 +163,7 @@ def train(robot: Robot | None, recipe: Recipe, out: Path, progress: bool = False
         _write_arrays(drives_file, key, examples)
     else:
         examples = recipe.restored(kept)
-    network = recipe.fit(examples, checkpoint, key, progress)
-    network = replace(network, recipe=told | network.recipe)
-    network.save(out)
-    drives_file.unlink()
-    checkpoint.unlink()
-    return network
+    return recipe.fit(examples, checkpoint, key, progress), [drives_file, checkpoint]
 
 
 def _write_arrays(path: Path, key: str, arrays: Sequence[ndarray | Array]) -> None:

@@ -4,6 +4,7 @@ A lesson keeps the drive as the mapper would get it (poses, mounts, readings) an
 really there, so that a loss can look at any point from any frame.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -11,10 +12,12 @@ from jaxtyping import Array, Float, Integer
 from numpy import ndarray
 from scipy.ndimage import distance_transform_edt
 
+from echogrid.errors import UsageError
 from echogrid.geometry import wrap
 from echogrid.metrics import FREE, HIDDEN, SURFACE, Truth
 from echogrid.models.networks.memory import Memory
 from echogrid.robot import Robot
+from echogrid.simulation.drive import STEP_M, tour
 from echogrid.simulation.simulate import disturb, passers_by
 from echogrid.simulation.world import World
 from echogrid.training.drives import Driven, Kind, Points, picked, simulated
@@ -46,7 +49,10 @@ class Lessons(NamedTuple):
     """Readings, m, float16; inf = no echo, nan = not fired or no such sonar."""
     mounts: Float[ndarray | Array, "drives sonars 3"]
     """As the robot file says, m and rad; nan: no such sonar."""
-    max_range: Float[ndarray | Array, "drives"]
+    max_range: Float[ndarray | Array, "drives sonars"]
+    """m."""
+    beam: Float[ndarray | Array, "drives"]
+    """Beam width, rad."""
     poses: Float[ndarray | Array, "drives frames 3"]
     """As the mapper is told, m and rad."""
     weight: Float[ndarray | Array, "drives frames"]
@@ -59,8 +65,10 @@ class Lessons(NamedTuple):
     """1 = surface, 0 = free, 2 = hidden."""
 
 
-def random_way(rng: np.random.Generator, world: World, clearance: float) -> Float[ndarray, "frames 3"] | None:
-    """FRAMES poses from place to place through a world, at about ``clearance`` (m) from everything; None: no room.
+def random_way(
+    rng: np.random.Generator, world: World, clearance: float, frames: int = FRAMES
+) -> Float[ndarray, "frames 3"] | None:
+    """So many poses from place to place through a world, at about ``clearance`` (m) from everything; None: no room.
 
     It keeps three quarters of the clearance everywhere.
 
@@ -75,12 +83,14 @@ def random_way(rng: np.random.Generator, world: World, clearance: float) -> Floa
     if len(places) < 2:
         return None
     step = np.exp(rng.uniform(np.log(0.02), np.log(0.5)))
+    if world.name == "flat" and rng.random() < 0.8:
+        return _through_rooms(rng, world, clearance, step, frames)
     kind = rng.choice(["drive", "stand", "turn"], p=[0.88, 0.07, 0.05])
     if kind == "stand":
-        return np.tile([*places[0], rng.uniform(-np.pi, np.pi)], (FRAMES, 1))
+        return np.tile([*places[0], rng.uniform(-np.pi, np.pi)], (frames, 1))
     if kind == "turn":
-        bearing = rng.uniform(-np.pi, np.pi) + rng.uniform(-0.2, 0.2) * np.arange(FRAMES)
-        return np.column_stack([np.tile(places[0], (FRAMES, 1)), wrap(bearing)])
+        bearing = rng.uniform(-np.pi, np.pi) + rng.uniform(-0.2, 0.2) * np.arange(frames)
+        return np.column_stack([np.tile(places[0], (frames, 1)), wrap(bearing)])
     way = [places[0]]
     length = 0.0
     for _ in range(40):
@@ -94,19 +104,33 @@ def random_way(rng: np.random.Generator, world: World, clearance: float) -> Floa
         if good.size:
             way.append(goals[good[0]])
             length += far[good[0]]
-        if length > step * FRAMES:
+        if length > step * frames:
             break
     if len(way) < 2:
         return None
     run = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
     # Where the world is too small for so long a way, the frames lie nearer to each other.
-    s = np.linspace(0.0, min(step * FRAMES, run[-1]), FRAMES)
+    s = np.linspace(0.0, min(step * frames, run[-1]), frames)
     xy = np.column_stack([np.interp(s, run, np.array(way)[:, k]) for k in (0, 1)])
     leg = np.clip(np.searchsorted(run, s, side="right") - 1, 0, len(way) - 2)
     heading = np.unwrap(np.arctan2(*np.diff(way, axis=0).T[::-1])[leg])
     turn = rng.choice([0.0, rng.uniform(-np.pi, np.pi)])
-    spin = rng.choice([0.0, 0.0, rng.normal(0, 0.1)]) * np.arange(FRAMES)
+    spin = rng.choice([0.0, 0.0, rng.normal(0, 0.1)]) * np.arange(frames)
     return np.column_stack([xy, wrap(heading + turn + spin)])
+
+
+def _through_rooms(
+    rng: np.random.Generator, world: World, clearance: float, step: float, frames: int
+) -> Float[ndarray, "frames 3"] | None:
+    """So many poses about ``step`` (m) apart of a tour, which passes through doors; None: no room."""
+    try:
+        poses = tour(world, clearance)
+    except UsageError:
+        return None
+    poses = poses[:: max(1, round(step / STEP_M))]
+    begin = int(rng.integers(0, max(1, len(poses) - frames // 2)))
+    poses = np.concatenate([poses[begin:], poses[::-1] + np.array([0.0, 0.0, np.pi]), poses])
+    return np.resize(np.column_stack([poses[:, :2], wrap(poses[:, 2])]), (frames, 3))
 
 
 def _points_of(rng: np.random.Generator, truth: Truth, poses: Float[ndarray, "frames 3"]) -> Points | None:
@@ -127,14 +151,20 @@ def _points_of(rng: np.random.Generator, truth: Truth, poses: Float[ndarray, "fr
     return picked(rng, truth, split)
 
 
-KIND = Kind(
-    FRAMES,
-    {"contour": 0.22, "room": 0.38, "corridor": 0.2, "hall": 0.1, "clutter": 0.1},
-    random_way,
-    _points_of,
-    TRUTH_M,
-    REACH_M,
-)
+def drives_of(frames: int) -> Kind:
+    """Drives of so many frames."""
+    return Kind(
+        frames,
+        {"contour": 0.18, "room": 0.3, "corridor": 0.17, "hall": 0.1, "clutter": 0.08, "flat": 0.17},
+        partial(random_way, frames=frames),
+        _points_of,
+        TRUTH_M,
+        REACH_M,
+        frank_share=0.15,
+    )
+
+
+KIND = drives_of(FRAMES)
 """The drives."""
 
 
@@ -159,7 +189,8 @@ def _lesson(rng: np.random.Generator, driven: Driven) -> Lessons:
     return Lessons(
         padded,
         mounts,
-        np.array(d.robot.max_range_m, dtype=np.float32),
+        np.pad(d.robot.max_ranges_m, (0, most - d.robot.sonars), constant_values=1.0).astype(np.float32),
+        np.array(d.robot.beam_width_rad, dtype=np.float32),
         d.believed.astype(np.float32),
         weight,
         traits,

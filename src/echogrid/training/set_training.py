@@ -27,10 +27,12 @@ from echogrid.models.networks.set_layers import (
     fused,
     initial,
     nearest,
+    saturated,
 )
 from echogrid.models.networks.set_network import SetNetwork
 from echogrid.robot import Robot
 from echogrid.training.gradient_descent import Recipe, descend
+from echogrid.training.map_training import MapRecipe
 from echogrid.training.set_lessons import POINTS, REACH_M, Lessons, lessons
 
 VIEWS = 20
@@ -42,6 +44,9 @@ what a room has of them, and of the hidden ones just behind a surface and farthe
 
 SINGLE_WEIGHT = 0.1
 """Weight of the single looks beside the fused map: they steady the beginning."""
+
+MAPS_SHARE = 0.5
+"""Drives from whose maps it is learnt how to read a cell with its surroundings, for each drive of the first part."""
 
 _BEARINGS = 128
 
@@ -73,7 +78,12 @@ class SetRecipe(Recipe[Lessons]):
         weights = initial(np.random.default_rng(self.seed), self.hidden)
         data = (*examples, orders(examples))
         weights, losses = descend(weights, data, map_loss, draw, self, checkpoint, key, progress)
-        return SetNetwork(weights, {"losses": losses})
+        return SetNetwork(weights, None, {"losses": losses})
+
+    @override
+    def then(self, network: SetNetwork) -> MapRecipe:
+        drives, epochs = (max(1, round(n * share)) for n, share in ((self.drives, MAPS_SHARE), (self.epochs, 0.5)))
+        return MapRecipe(drives, epochs, batch=8, learning_rate=3e-3, seed=self.seed + 1, network=network)
 
 
 def orders(drives: Lessons) -> Int[ndarray, "drives bearings tokens"]:
@@ -103,14 +113,17 @@ def look(
     reading = jnp.where(there, drives.ranges[drive, frame, sonar].astype(jnp.float32), jnp.nan)
     placed = along(jnp.moveaxis(drives.mounts[drive, sonar], -1, 0), bearing)
     axis, ahead, aside = (jnp.where(there, v, 0.0) for v in placed)
-    tokens = Tokens(reading, drives.max_range[drive], axis, ahead, aside, drives.traits[drive, frame].T)
+    reach = jnp.where(there, drives.max_range[drive, sonar], 1.0)
+    beam = drives.beam[drive][None] / 2
+    tokens = Tokens(reading, reach, beam, axis, ahead, aside, drives.traits[drive, frame].T)
     tokens = jax.lax.optimization_barrier(tokens)
     profiles, rings = encode(weights, tokens)
     forward = distance - ahead
     off = jnp.abs(jnp.arctan2(-aside, forward) - axis)
     off = jnp.minimum(off, 2 * jnp.pi - off)
-    spoken = jnp.any(~jnp.isnan(reading) & (off <= LOOK_RAD), axis=0)
-    beyond = jnp.where(jnp.isfinite(reading), jnp.sqrt(forward**2 + aside**2 + 1e-6) - reading, 0.0)
+    apart = jnp.sqrt(forward**2 + aside**2 + 1e-6)
+    spoken = jnp.any(~jnp.isnan(reading) & (off <= LOOK_RAD) & (apart <= reach), axis=0)
+    beyond = jnp.where(jnp.isfinite(reading), apart - reading, 0.0)
     found = evidence(profiles, rings, beyond, distance)
     return jnp.where(spoken, found, 0.0).reshape(shape), spoken.reshape(shape)
 
@@ -136,12 +149,10 @@ def map_loss(weights: Weights, batch: tuple, key: Array) -> Array:
     found, spoken = jax.lax.optimization_barrier(look(weights, drives, order, frame, x, y))
     # The frames that are drawn stand for all that reach the point.
     scale = jnp.sum(counts, axis=-1) / jnp.maximum(jnp.sum(count, axis=-1), 1e-6)
-    occupied = scale * jnp.sum(count * jnp.maximum(found, 0.0), axis=-1)
-    free = scale * jnp.sum(count * jnp.maximum(-found, 0.0), axis=-1)
-    occupied2 = scale * jnp.sum(count * jnp.maximum(found, 0.0) ** 2, axis=-1)
-    free2 = scale * jnp.sum(count * jnp.maximum(-found, 0.0) ** 2, axis=-1)
-    log_odds = fused(weights, occupied, free, occupied2, free2)
     there = spoken & (drawn >= 0)
+    occupied, free = jnp.maximum(found, 0.0), jnp.maximum(-found, 0.0)
+    sums = [scale * jnp.sum(count * each, axis=-1) for each in (occupied, free, occupied**2, free**2, there)]
+    log_odds = fused(weights, *saturated(sums[4], *sums[:4]))
     seen = jnp.any(there, axis=-1)
     target = jnp.where(drives.label == SURFACE, 1.0, jnp.where(drives.label == FREE, 0.0, 0.5))
     weight = np.repeat(

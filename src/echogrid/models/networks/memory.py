@@ -42,7 +42,8 @@ class Recalled(NamedTuple):
     """What scans are read with."""
 
     weight: Float[ndarray, "scans"]
-    """What each counts: the n-th from one place and heading counts 1/n."""
+    """What each counts: the n-th from one place and heading counts 1/n. A scan in which a part of the sonars fired is
+    so much of one."""
     traits: Float[ndarray, "scans traits"]
     """Of the surroundings, each from 0 to 1: share of no echo, how far neighbours agree, how far apart they are,
     how far all things are. 0.5 where nothing is known."""
@@ -60,6 +61,7 @@ class Memory:
         """
         self._half_life = half_life
         self._count: dict[tuple[int, int, int], tuple[float, float]] = {}
+        self._sonars = max(1, int(np.sum(~np.isnan(mounts[:, 2]))))
         first, second = np.triu_indices(len(mounts), 1)
         near = np.exp(-((wrap(mounts[first, 2] - mounts[second, 2]) / NEIGHBOUR_RAD) ** 2))
         kept = near > _LEAST
@@ -80,12 +82,13 @@ class Memory:
         cell = np.column_stack([poses[:, :2] / PLACE_M, np.mod(poses[:, 2], 2 * np.pi) / TURN_RAD])
         weight = np.empty(len(poses), dtype=np.float32)
         times = np.zeros(len(poses)) if stamps is None or self._half_life is None else stamps / self._half_life
+        fired, echo = ~np.isnan(ranges), np.isfinite(ranges)
+        shares = np.sum(fired, axis=1) / self._sonars
         for i, (x, y, turn) in enumerate(np.floor(cell).astype(np.int64).tolist()):
             count, time = self._count.get((x, y, turn), (0.0, 0.0))
-            count = 1 + (count * 2 ** min(time - times[i], 0.0) if count else 0.0)
+            count = shares[i] + (count * 2 ** min(time - times[i], 0.0) if count else 0.0)
             self._count[x, y, turn] = count, times[i]
-            weight[i] = 1.0 / count
-        fired, echo = ~np.isnan(ranges), np.isfinite(ranges)
+            weight[i] = 1.0 / max(count, 1.0)
         reading = np.where(fired, np.minimum(ranges, FAR_M), 0.0)
         first, second = self._pairs
         apart = np.abs(reading[:, first] - reading[:, second])

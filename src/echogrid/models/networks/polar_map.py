@@ -21,6 +21,9 @@ REACH_M = (RINGS - 2) * RING_M
 UNDER = -2.0
 """Log-odds of the floor under the robot."""
 
+LEAST_RAD = np.deg2rad(0.5)
+"""Half of the narrowest beam width that is told apart from narrower ones."""
+
 
 def asked(mounts: Float[ndarray, "*n sonars 3"]) -> Int[ndarray, "*n bearings tokens"]:
     """The sonars that are asked for each bearing of the local map, see ``nearest``."""
@@ -48,6 +51,8 @@ class Mounted(NamedTuple):
     ends: Float[Array | ndarray, "2 tokens bearings"] | None
     """How far from the robot's middle (m; 0: nowhere) each sonar can tell of the sector up to the next bearing, and
     of that from the one before. None where all sonars reach past the local map."""
+    beam: float
+    """Half the beam width, rad."""
 
 
 def ends_within(mounts: Float[ndarray, "*n sonars 3"], max_range: Float[ndarray, "sonars"] | float) -> bool:
@@ -59,6 +64,7 @@ def array_of(
     mounts: Float[ndarray, "sonars 3"],
     max_range: Float[ndarray, "sonars"] | float,
     footprint_radius: float,
+    beam_width: float,
     ends: bool = False,
 ) -> Mounted:
     """Prepare for an array.
@@ -67,6 +73,7 @@ def array_of(
         mounts: m and rad (nan: no such sonar).
         max_range: of each sonar or of all, m.
         footprint_radius: of the robot, m.
+        beam_width: of the sonars, rad.
         ends: whether what a sonar tells is to end at its range even if that lies past the local map, as for an array
             whose sonars move.
     """
@@ -86,7 +93,20 @@ def array_of(
         looks &= distance <= own[sonar][..., None] + RING_M
         exits = np.where(there, np.asarray(_ends(mounts[sonar], own[sonar])), 0.0).astype(np.float32)
     looks = looks.astype(np.float32)
-    return Mounted(sonar, axis, ahead, aside, distance, looks, ring < footprint_radius, footprint_radius, own, exits)
+    under = ring < footprint_radius
+    return Mounted(
+        sonar,
+        axis,
+        ahead,
+        aside,
+        distance,
+        looks,
+        under,
+        footprint_radius,
+        own,
+        exits,
+        max(beam_width / 2, LEAST_RAD),
+    )
 
 
 def _ends(mounts: Float[Array | ndarray, "tokens bearings 3"], reach: Float[Array | ndarray, "tokens bearings"]):
@@ -173,6 +193,7 @@ def local_map(
     told = Tokens(
         reading.reshape(TOKENS, -1),
         spread(jnp.asarray(array.max_range)[array.sonar]),
+        jnp.full((1, scans * BEARINGS), array.beam, jnp.float32),
         spread(array.axis),
         spread(array.ahead),
         spread(array.aside),

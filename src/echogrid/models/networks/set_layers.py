@@ -37,7 +37,14 @@ FUSE_UNITS = 12
 HIDDEN_UNITS = 24
 """Units of each layer."""
 
-FEATURES = 17
+LOOKS = 24.0
+"""Looks at a point after which more of them, from wherever they come, hardly make the map surer. Views of one place
+repeat each other's errors, and a wall that is driven past thirty times is the same wall."""
+
+BEAM_RAD = 0.22
+"""Half a common beam width, which a token's is compared with."""
+
+FEATURES = 20
 """Numbers that the encoder is told of a token."""
 
 Weights = dict[str, Any]
@@ -53,6 +60,8 @@ class Tokens(NamedTuple):
     reading: Float[Array, "tokens n"]
     """m; inf = no echo, nan = not fired or no such sonar."""
     max_range: Float[Array, "#tokens n"]
+    beam: Float[Array, "#tokens n"]
+    """Half the beam width, rad."""
     axis: Float[Array, "tokens n"]
     """Of the sonar relative to the bearing, rad."""
     ahead: Float[Array, "tokens n"]
@@ -137,6 +146,9 @@ def features(t: Tokens) -> Rows:
         same,
         fine,
         coarse,
+        jnp.log(t.beam / BEAM_RAD),
+        jnp.exp(-((off / t.beam) ** 2)),
+        jnp.minimum(t.max_range, FAR_M) / FAR_M,
     ]
     return jnp.stack([jnp.where(fired, jnp.asarray(v, jnp.float32), 0.0) for v in told])
 
@@ -220,11 +232,17 @@ _STEP_BENDS = _bends(STEPS_M)[:-1]
 _RING_BENDS = _bends(RINGS_M)
 
 
+def saturated[A: (Array, ndarray)](looks: A, *sums: A, xp: Any = jnp) -> tuple[A, ...]:
+    """Sums of evidence, brought down to what so many looks are worth; see LOOKS."""
+    share = -LOOKS * xp.expm1(-looks / LOOKS) / xp.maximum(looks, 1e-6)
+    return tuple(share * total for total in sums)
+
+
 def fused[A: (Array, ndarray)](w: Weights, occupied: A, free: A, occupied2: A, free2: A, xp: Any = jnp) -> A:
     """Log-odds of points from the sums of all views' evidence for a surface and against it, and of its squares.
 
     Where views are independent the difference of the sums is Bayes' rule; they are not: what tells mirrors from
-    free space is how much of either there is. ``xp``: numpy or jax.numpy.
+    free space is how much of either there is. The sums are ``saturated``. ``xp``: numpy or jax.numpy.
     """
     told = [xp.log1p(v) for v in (occupied, free, occupied2, free2)]
     total = w["ws"][0] * (occupied - free)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, override
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 from numpy import ndarray
 
 from echogrid.errors import InputError
@@ -18,18 +18,15 @@ from echogrid.frame import Frame
 from echogrid.grid import GrowingGrid, Layers
 from echogrid.models.batches import BATCH, WINDOW_M, in_robot, near_each_other, placed
 from echogrid.models.model import Evidence, Fusion, Model
+from echogrid.models.networks import surroundings
 from echogrid.models.networks.memory import Memory
 from echogrid.models.networks.polar_map import REACH_M, array_of, asked, ends_within, moved_view, view
-from echogrid.models.networks.set_layers import Weights, fused, initial
+from echogrid.models.networks.set_layers import Weights, fused, initial, saturated
 from echogrid.models.networks.weights import read_weights, write_weights
 from echogrid.robot import Robot
 
-FORMAT = "echogrid-set-1"
+FORMAT = "echogrid-set-2"
 """Of the weights file."""
-
-CAUTION = 0.8
-"""Log-odds added to what the views say: to miss a wall is worse than to miss free floor. Training weighs both alike;
-this was chosen on development rooms, where it wipes about half as many walls."""
 
 MAX_UNITS = 2048
 """Units of the widest network that is read."""
@@ -37,11 +34,21 @@ MAX_UNITS = 2048
 SIZES = (1, 8, BATCH)
 """Batches of these sizes are compiled for: one scan alone is not to wait for many."""
 
-SUMS = ("occupied", "free", "occupied2", "free2")
-"""Layers of the map: evidence for and against a surface, and of its squares."""
+SUMS = ("occupied", "free", "occupied2", "free2", "looks")
+"""Layers of the map: evidence for and against a surface, and of its squares, and what the looks at a cell count."""
 
 FORGOTTEN = 0.05
 """Evidence, in log-odds, that has faded below this is none; one clear view of a surface or of a floor is 1 to 4."""
+
+STOOD = -4.0
+"""Log-odds, at most, of floor on which the robot has stood, whatever is said of it."""
+
+STOOD_SHARE, STOOD_STEP_M, STOOD_GAP_M = 0.9, 0.02, 0.6
+"""Of the footprint's radius: what of it is sure to have been over the floor, for poses are not exact. The way between
+two scans is followed in such steps, if it is no longer than the last."""
+
+STRIP = 512
+"""Rows of the map that are read out at once."""
 
 _RENEW = 32.0
 """Half-lives after which the sums are brought back to scale, long before float32 overflows."""
@@ -52,6 +59,9 @@ class SetNetwork(Model):
     """The set network with its weights."""
 
     weights: Weights
+    """Of what reads a scan and fuses views."""
+    around: Weights | None
+    """Of what reads a cell with its surroundings (``surroundings``); None: each is read alone."""
     recipe: dict[str, Any]
     """How the weights were made."""
     name: str = "set-network"
@@ -60,7 +70,8 @@ class SetNetwork(Model):
     """Fine enough that where a cell lies on a wall does not matter."""
 
     def __repr__(self) -> str:
-        return f"SetNetwork({self.name!r}, {sum(np.size(value) for value in self.weights.values())} weights)"
+        values = [*self.weights.values(), *(self.around or {}).values()]
+        return f"SetNetwork({self.name!r}, {sum(map(np.size, values))} weights)"
 
     @override
     def told(self) -> dict[str, Any]:
@@ -68,22 +79,12 @@ class SetNetwork(Model):
 
     @override
     def fusion(self, robot: Robot, resolution: float, half_life: float | None = None) -> Fusion:
-        return _Sums(robot, self, resolution, half_life)
-
-    def fuse(
-        self,
-        occupied: Float[ndarray, "rows cols"],
-        free: Float[ndarray, "rows cols"],
-        occupied2: Float[ndarray, "rows cols"],
-        free2: Float[ndarray, "rows cols"],
-    ) -> Float[ndarray, "rows cols"]:
-        """``fused``, for the cells of a map, and CAUTION besides where anything is known."""
-        total = fused(self.weights, occupied, free, occupied2, free2, np)
-        return np.where(occupied + free > 0, total + CAUTION * np.tanh(np.abs(total)), np.float32(0))
+        return _Sums(robot, self, half_life)
 
     def save(self, path: str | Path) -> None:
         """Write the weights and their recipe (NPZ, no pickle)."""
-        arrays = {name: np.asarray(value, dtype=np.float32) for name, value in self.weights.items()}
+        parts = self.weights | (self.around or {})
+        arrays = {name: np.asarray(value, dtype=np.float32) for name, value in parts.items()}
         write_weights(path, FORMAT, self.recipe, arrays)
 
     @staticmethod
@@ -102,8 +103,10 @@ class SetNetwork(Model):
         except (KeyError, ValueError, RecursionError):
             recipe, units = None, 0
         units = max(1, min(units, MAX_UNITS))  # more fit no file, but would fill the memory here
-        shapes = {name: value.shape for name, value in initial(np.random.default_rng(0), units).items()}
-        fits = {name: value.shape for name, value in data.items()} == shapes
+        own, around = initial(np.random.default_rng(0), units), surroundings.initial(np.random.default_rng(0))
+        fits = {name: value.shape for name, value in data.items()} == {
+            name: value.shape for name, value in (own | around).items()
+        }
         if (
             not isinstance(recipe, dict)
             or not fits
@@ -112,7 +115,8 @@ class SetNetwork(Model):
             raise InputError(
                 path, "weights of other shapes, not finite, or without a recipe", "the arrays of a set network"
             )
-        return SetNetwork(data, recipe, Path(path).stem)
+        split = [{name: data[name] for name in part} for part in (own, around)]
+        return SetNetwork(*split, recipe, Path(path).stem)
 
 
 class _Told(NamedTuple):
@@ -124,19 +128,26 @@ class _Told(NamedTuple):
     """Time of the last scan, s."""
     epoch: float
     """Time at which evidence counts as it is, s; what is later counts more, where evidence fades."""
+    poses: Float[ndarray, "scans 2"]
+    """Where the robot stood, m."""
+    radius: float
+    """What is sure to have been under it, m."""
 
 
 class _Sums(Fusion):
-    """Evidence is summed window by window, and read out by the layer that fuses views; it fades if it is asked to."""
+    """Evidence is summed window by window, and read out where somebody looks; it fades if it is asked to."""
 
-    def __init__(self, robot: Robot, network: SetNetwork, resolution: float, half_life: float | None):
-        self.blank = dict.fromkeys(SUMS, np.float32(0)[...]) | {"views": np.int32(0)[...]}
-        self._network, self._resolution, self._half_life = network, resolution, half_life
-        self._side = int(np.ceil(2 * REACH_M / resolution)) + 2
+    def __init__(self, robot: Robot, network: SetNetwork, half_life: float | None):
+        self.blank = dict.fromkeys((*SUMS, "stood"), np.float32(0)[...]) | {"views": np.int32(0)[...]}
+        self.cell_m = cell = network.cell_m
+        self._network, self._half_life = network, half_life
+        self._side = int(np.ceil(2 * REACH_M / cell)) + 2
         self.reach_cells = self._side
-        span = self._side + int(np.ceil(WINDOW_M / resolution)) + 1
-        self._sizes = {"resolution": resolution, "side": self._side, "span": span}
+        span = self._side + int(np.ceil(WINDOW_M / cell)) + 1
+        self._sizes = {"resolution": cell, "side": self._side, "span": span}
         self._epoch, self._summed_epoch, self._now = -np.inf, -np.inf, -np.inf
+        self._stale: tuple[ndarray, ndarray] | None = None
+        self._last: ndarray | None = None
         super().__init__(robot)
 
     @override
@@ -147,7 +158,8 @@ class _Sums(Fusion):
 
     def _window_of(self, ends: bool) -> Callable:
         """``_window`` for the robot; ``ends``: whether what a sonar tells ends within the local map."""
-        array = array_of(self.robot.mounts, self.robot.max_ranges_m, self.robot.footprint_radius_m, ends)
+        robot = self.robot
+        array = array_of(robot.mounts, robot.max_ranges_m, robot.footprint_radius_m, robot.beam_width_rad, ends)
         given = jax.tree.map(jnp.asarray, (self._network.weights, array))
         return partial(_window, *given, **self._sizes)
 
@@ -162,7 +174,7 @@ class _Sums(Fusion):
             np.array([frame.pose for frame in batch]), np.array([frame.ranges for frame in batch]), stamps
         )
         size = BATCH if filled else next(size for size in SIZES if size >= len(batch))
-        at = placed(batch, size, self._side, self._resolution)
+        at = placed(batch, size, self._side, self._network.cell_m)
         fill = size - len(batch)
         traits = np.pad(recalled.traits, [(0, fill), (0, 0)], constant_values=np.float32(0.5))
         weight = np.pad(recalled.weight, (0, fill))
@@ -177,10 +189,11 @@ class _Sums(Fusion):
         corner, end = at.first.min(axis=0), at.first.max(axis=0) + self._side
         rows = (at.first - corner).astype(np.int32)
         stamp, epoch = float(stamps.max()), self._epoch
+        poses, radius = np.array([frame.pose[:2] for frame in batch]), STOOD_SHARE * self.robot.footprint_radius_m
 
         def work() -> Evidence:
             sums = window(at.ranges, traits, at.corner, at.theta, rows, weight, mounts)
-            return Evidence(corner, end, _Told(sums, stamp, epoch))
+            return Evidence(corner, end, _Told(sums, stamp, epoch, poses, radius))
 
         return work
 
@@ -203,27 +216,104 @@ class _Sums(Fusion):
         for name, added in zip((*SUMS, "views"), told.sums, strict=True):
             cells[name] += np.asarray(added)[:rows, :cols]
         self._now = max(self._now, told.stamp)
-        if self._half_life is None:
-            cells["observed"] |= cells["views"] > 0
-            cells["log_odds"][:] = self._network.fuse(*(cells[name] for name in SUMS))
+        self._stand(grown, told)
+        low, high = self._stale or (evidence.corner, evidence.end)
+        self._stale = np.minimum(low, evidence.corner), np.maximum(high, evidence.end)
+
+    def _stand(self, grown: GrowingGrid, told: _Told) -> None:
+        """Note the floor on which the robot has stood, and over which it has come."""
+        way = told.poses if self._last is None else np.concatenate([self._last[None], told.poses])
+        self._last = told.poses[-1]
+        steps = np.hypot(*np.diff(way, axis=0).T)
+        parts = np.where(steps <= STOOD_GAP_M, np.ceil(steps / STOOD_STEP_M), 1).astype(int)
+        at = [
+            a + (b - a) * (np.arange(1, n + 1) / n)[:, None]
+            for a, b, n in zip(way, way[1:], parts, strict=False)
+            if n
+        ]
+        points = np.concatenate([told.poses[:1], *at])
+        cell = self._network.cell_m
+        half = int(np.ceil(told.radius / cell))
+        offset = np.stack(np.meshgrid(np.arange(-half, half + 1), np.arange(-half, half + 1)), axis=-1).reshape(-1, 2)
+        home = np.floor(points / cell).astype(np.int64)
+        # Every cell round a point whose middle the disc covers.
+        middle = (home[:, None] + offset + 0.5) * cell - points[:, None]
+        cells = (home[:, None] + offset)[np.sum(middle**2, axis=-1) < told.radius**2]
+        if not len(cells):
+            return
+        low = cells.min(axis=0)
+        shape = cells.max(axis=0) - low + 1
+        stood = grown.window(low[::-1], (int(shape[1]), int(shape[0])))["stood"]
+        weight = 1.0 if self._half_life is None else np.exp2((told.stamp - told.epoch) / self._half_life)
+        x, y = (cells - low).T
+        stood[y, x] = np.maximum(stood[y, x], np.float32(weight))
 
     def _renew(self, grown: GrowingGrid, epoch: float) -> None:
         """Bring the sums to another epoch, so that they do not grow without end."""
         if self._half_life is not None and self._summed_epoch > -np.inf:
             faded = np.float32(np.exp2((self._summed_epoch - epoch) / self._half_life))
             cells = grown.layers()
-            for name in SUMS:
+            for name in (*SUMS, "stood"):
                 cells[name] *= faded
         self._summed_epoch = epoch
 
     @override
-    def read_out(self, cells: Layers) -> None:
-        if self._half_life is None:
+    def read_out(self, grown: GrowingGrid, corner: Int[ndarray, "2"], shape: tuple[int, int]) -> None:
+        if self._stale is None:
             return
-        faded = np.float32(np.exp2((self._summed_epoch - self._now) / self._half_life))
-        sums = [faded * cells[name] for name in SUMS]
-        cells["observed"][:] = sums[0] + sums[1] > FORGOTTEN
-        cells["log_odds"][:] = np.where(cells["observed"], self._network.fuse(*sums), np.float32(0))
+        low, high = self._stale
+        if self._half_life is not None:  # all of it fades all the time
+            low, high = corner, corner + shape
+        first = np.maximum(corner, low - surroundings.REACH)
+        last = np.minimum(corner + shape, high + surroundings.REACH)
+        for row in range(int(first[0]), int(last[0]), STRIP):
+            self._read(grown, np.array([row, first[1]]), np.array([min(row + STRIP, last[0]), last[1]]))
+        if np.all(first <= low) and np.all(last >= high) and self._half_life is None:
+            self._stale = None
+
+    def _read(self, grown: GrowingGrid, low: Int[ndarray, "2"], high: Int[ndarray, "2"]) -> None:
+        """Bring ``log_odds`` and ``observed`` of a rectangle of cells up to date."""
+        if np.any(high <= low):
+            return
+        pack, reach = surroundings.PACK, surroundings.REACH
+        begin = (low - reach) // pack * pack
+        end = -(-(high + reach) // pack) * pack
+        held = grown.copied(begin, (int(end[0] - begin[0]), int(end[1] - begin[1])), (*SUMS, "stood"))
+        if self._half_life is not None:
+            faded = np.float32(np.exp2((self._summed_epoch - self._now) / self._half_life))
+            held = {name: faded * value for name, value in held.items()}
+        log_odds, observed = self.told(held)
+        part = tuple(slice(a, b) for a, b in zip(low - begin, high - begin, strict=True))
+        cells = grown.window(low, (int(high[0] - low[0]), int(high[1] - low[1])))
+        cells["log_odds"][:], cells["observed"][:] = log_odds[part], observed[part]
+
+    def told(self, cells: Layers) -> tuple[Float[ndarray, "rows cols"], Bool[ndarray, "rows cols"]]:
+        """Log-odds of a rectangle of cells, and where anything is known; the first cell has even indices."""
+        least = 0.0 if self._half_life is None else FORGOTTEN
+        stood, observed = cells["stood"] > least, cells["occupied"] + cells["free"] > least
+        telling = self.telling(cells)
+        alone = 4 * telling[..., 4]
+        if self._network.around is None:
+            log_odds = alone
+        else:
+            log_odds = surroundings.corrected(self._network.around, telling, self.array)
+        log_odds = np.where(stood, np.minimum(log_odds, np.float32(STOOD)), np.where(observed, log_odds, 0))
+        return log_odds.astype(np.float32), observed | stood
+
+    def telling(self, cells: Layers) -> Float[ndarray, "rows cols features"]:
+        """What ``surroundings`` is told of cells."""
+        *sums, looks = (cells[name] for name in SUMS)
+        sums = saturated(looks, *sums, xp=np)
+        alone = np.where(cells["looks"] > 0, fused(self._network.weights, *sums, xp=np), np.float32(0))
+        return surroundings.features(sums, looks, alone, (cells["stood"] > 0).astype(np.float32))
+
+    @property
+    def array(self) -> Float[ndarray, "told"]:
+        """What ``surroundings`` is told of the robot's sonars."""
+        robot = self.robot
+        return surroundings.told_of(
+            robot.beam_width_rad, robot.max_range_m, int(np.sum(~np.isnan(robot.mounts[:, 2])))
+        )
 
 
 @partial(jax.jit, static_argnames=("resolution", "side", "span"))
@@ -246,8 +336,9 @@ def _window(weights, array, ranges, traits, corner, theta, at, weight, mounts, *
         found, at, weight = scan
         occupied = jnp.maximum(found, 0.0)
         free = occupied - found
-        spoke = ((found != 0.0) & (weight > 0.0)).astype(jnp.int32)
-        added = [weight * occupied, weight * free, weight * occupied**2, weight * free**2, spoke]
+        spoke = (found != 0.0) & (weight > 0.0)
+        added = [weight * v for v in (occupied, free, occupied**2, free**2, spoke)]
+        added.append(spoke.astype(jnp.int32))
         part = [jax.lax.dynamic_slice(total, at, (side, side)) for total in sums]
         return tuple(map(lambda t, p, a: jax.lax.dynamic_update_slice(t, p + a, at), sums, part, added)), None
 
