@@ -22,7 +22,8 @@ PLAN = {
     "models.classical": "beam sweep log_odds calculi forward_model",
     "models.networks": "weights memory set_layers surroundings polar_map set_network local_map paper_network",
     "mapping": "registry intake mapper build",
-    "training": "drives gradient_descent paper_examples paper_training set_lessons map_lessons map_training set_training",
+    "training": "drives gradient_descent paper_examples paper_training set_lessons map_lessons map_training "
+    "set_training",
     "output": "folder follower map_picture scan_picture map_server_file map_file mcap_file recording page rerun_file "
     "rerun_server",
     "live": "sonar_array clocks hearing telling live_map session sockets tf_topics dds_types dds",

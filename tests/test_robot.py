@@ -9,7 +9,16 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from echogrid.errors import EchogridError, InputError, UsageError
-from echogrid.robot import MAX_SONARS, TRANSDUCERS, Robot, Transducer, parse_robot, preset_names, robot_yaml
+from echogrid.robot import (
+    MAX_SONARS,
+    TRANSDUCERS,
+    Robot,
+    Transducer,
+    parse_robot,
+    preset_names,
+    robot_yaml,
+    surrounded,
+)
 
 # physics.md, section 4: x and y in mm, axis in degrees.
 P3DX = [
@@ -337,3 +346,22 @@ def test_a_limit_that_was_rounded_to_single_precision_is_the_limit(low, span):
 def test_the_limits_themselves_are_a_reading_and_no_echo():
     robot = parse_robot(GOOD, "r")
     np.testing.assert_array_equal(robot.clean(np.array([0.15, 5.0])), [0.15, np.inf])
+
+
+@given(st.integers(3, 24), st.floats(0.02, 1.0), st.floats(-3, 3))
+def test_a_ring_surrounds_the_disc_between_its_sonars(sonars, radius, turn):
+    axis = np.arange(sonars) * 2 * np.pi / sonars + turn
+    ring = np.column_stack([radius * np.cos(axis), radius * np.sin(axis), axis])
+    least = radius * np.cos(np.pi / sonars)
+    assert max(least, min(0.1, radius)) - 1e-9 <= surrounded(ring) <= max(least, min(0.1, radius)) + 0.002
+
+
+def test_a_long_robot_covers_no_more_than_its_width():
+    corners = np.array([[0.4, 0.15, 0], [0.4, -0.15, 0], [-0.4, 0.15, 0], [-0.4, -0.15, 0]])
+    assert surrounded(corners) == pytest.approx(0.15)
+
+
+def test_sonars_on_one_side_surround_little():
+    bar = np.array([[0.3, 0.1, 0], [0.3, 0.0, 0], [0.3, -0.1, 0]])
+    assert surrounded(bar) == pytest.approx(0.1)
+    assert surrounded(bar * 0.1) == pytest.approx(0.03)

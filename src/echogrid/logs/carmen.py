@@ -16,7 +16,7 @@ from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Iterator
 from functools import partial
-from math import hypot, inf, radians, remainder, tau
+from math import inf, radians, remainder, tau
 from pathlib import Path
 from re import compile as pattern
 from typing import NamedTuple
@@ -30,7 +30,7 @@ from echogrid.files import printable
 from echogrid.frame import Frame, Log, Progress
 from echogrid.logs.lines import numbered, quoted, text_of
 from echogrid.logs.rows import Table, number_of, only_numbers
-from echogrid.robot import MAX_SONARS, TRANSDUCERS, Robot
+from echogrid.robot import MAX_SONARS, TRANSDUCERS, Robot, surrounded
 from echogrid.ros.transforms import JUMP_S, moved
 
 MAX_HELD = 10_000
@@ -80,7 +80,7 @@ def load(path: Path, robot: Robot | None) -> Log:
         path: the file.
         robot: taken in place of what the log says of its robot. Without it the log describes one, named
             ``carmen``: mounts and beam width (the cone if between 1 and 90 degrees, else 25) from its first
-            SONAR line, a footprint that reaches to the farthest mount. The format carries neither the
+            SONAR line, a footprint that the mounts surround. The format carries neither the
             transducer nor the limits of the range; polaroid-600, 0.15 m and 5.0 m are taken.
 
     Raises:
@@ -248,7 +248,7 @@ def _robot(sonar: _Sonar, where: str) -> Robot:
     cone = sonar.cone if radians(1) <= sonar.cone <= radians(90) else radians(25)
     return Robot(
         name="carmen",
-        footprint_radius_m=max(hypot(x, y) for x, y, _ in mounts.tolist()),
+        footprint_radius_m=surrounded(mounts),
         transducer=TRANSDUCERS["polaroid-600"],
         min_range_m=0.15,
         max_range_m=5.0,

@@ -4,14 +4,14 @@ Also what a reading means by the limits of its sonar.
 """
 
 from collections.abc import Sequence
-from math import hypot, inf, isfinite, isnan, nan, radians
+from math import inf, isfinite, isnan, nan, radians
 from statistics import median
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from echogrid.robot import TRANSDUCERS, Robot
+from echogrid.robot import TRANSDUCERS, Robot, surrounded
 from echogrid.ros.rigid import IDENTITY, planar, slope
 from echogrid.ros.transforms import Transforms, stands_still
 
@@ -56,7 +56,7 @@ def robot_of(
 
     Returns:
         A robot with the widest limits of its sonars (and the maximum of each where they differ), the median of their
-        beam widths, a footprint that reaches to the farthest mount, and a Polaroid 600 for its transducer, which
+        beam widths, a footprint that the mounts surround, and a Polaroid 600 for its transducer, which
         mapping does not read.
     """
     lows = [low for low, _ in limits if 0 <= low < MAX_RANGE_M]
@@ -65,7 +65,7 @@ def robot_of(
     own = np.array([each if 0 < each <= MAX_RANGE_M else high for _, each in limits])
     return Robot(
         name=name,
-        footprint_radius_m=max(hypot(x, y) for x, y, _ in mounts.tolist()),
+        footprint_radius_m=surrounded(mounts),
         transducer=TRANSDUCERS["polaroid-600"],
         min_range_m=low if low < high else MIN_RANGE_M,
         max_range_m=high,
