@@ -115,10 +115,10 @@ class Robot:
 def surrounded(mounts: Float[ndarray, "sonars 3"]) -> float:
     """A radius (m) that a robot surely covers whose mounts (m, m, rad) are all that is known of it.
 
-    That of the disc round the origin that the mounts surround, or if they do not, of one up to the nearest of them and
-    to 0.1 m.
+    That of the largest disc round the origin that the mounts surround. If they do not, the nearest mount's distance, at
+    most 0.1 m.
     """
-    bearing = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+    bearing = np.linspace(0, 2 * np.pi, 720, endpoint=False)
     farthest = np.max(np.stack([np.cos(bearing), np.sin(bearing)], axis=1) @ mounts[:, :2].T, axis=1)
     return float(max(np.min(farthest), min(0.1, np.min(np.hypot(*mounts[:, :2].T)))))
 
