@@ -155,6 +155,7 @@ class _Sums(Fusion):
         super().equip(robot)
         self._window = self._window_of(ends_within(robot.mounts, robot.max_ranges_m))
         self._memory = Memory(robot.mounts, self._half_life)
+        self._other_array = True
 
     def _window_of(self, ends: bool) -> Callable:
         """``_window`` for the robot; ``ends``: whether what a sonar tells ends within the local map."""
@@ -261,15 +262,16 @@ class _Sums(Fusion):
     def read_out(self, grown: GrowingGrid, corner: Int[ndarray, "2"], shape: tuple[int, int]) -> None:
         if self._stale is None:
             return
-        low, high = self._stale
-        if self._half_life is not None:  # all of it fades all the time
-            low, high = corner, corner + shape
-        first = np.maximum(corner, low - surroundings.REACH)
-        last = np.minimum(corner + shape, high + surroundings.REACH)
+        begin, size = grown.reserved()
+        low, high = begin, begin + size
+        if self._half_life is None and not self._other_array:  # else all of it changes
+            low = np.maximum(low, self._stale[0] - surroundings.REACH)
+            high = np.minimum(high, self._stale[1] + surroundings.REACH)
+        first, last = np.maximum(corner, low), np.minimum(corner + shape, high)
         for row in range(int(first[0]), int(last[0]), STRIP):
             self._read(grown, np.array([row, first[1]]), np.array([min(row + STRIP, last[0]), last[1]]))
         if np.all(first <= low) and np.all(last >= high) and self._half_life is None:
-            self._stale = None
+            self._stale, self._other_array = None, False
 
     def _read(self, grown: GrowingGrid, low: Int[ndarray, "2"], high: Int[ndarray, "2"]) -> None:
         """Bring ``log_odds`` and ``observed`` of a rectangle of cells up to date."""
