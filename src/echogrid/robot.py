@@ -115,7 +115,7 @@ class Robot:
 def surrounded(mounts: Float[ndarray, "sonars 3"]) -> float:
     """A radius (m) that a robot surely covers whose mounts (m, m, rad) are all that is known of it.
 
-    That of the largest disc round the origin that the mounts surround; if they do not, the distance of the nearest, at
+    That of the largest disc round the origin that the mounts surround; else the distance of the nearest, at
     most 0.1 m.
     """
     bearing = np.linspace(0, 2 * np.pi, 720, endpoint=False)
