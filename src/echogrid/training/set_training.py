@@ -45,7 +45,7 @@ what a room has of them, and of the hidden ones just behind a surface and farthe
 SINGLE_WEIGHT = 0.1
 """Weight of the single looks beside the fused map: they steady the beginning."""
 
-MAPS_SHARE = 0.5
+MAPS_SHARE = 0.48
 """Drives from whose maps it is learnt how to read a cell with its surroundings, for each drive of the first part."""
 
 _BEARINGS = 128

@@ -43,7 +43,7 @@ FORGOTTEN = 0.05
 STOOD = -4.0
 """Log-odds, at most, of floor on which the robot has stood, whatever is said of it."""
 
-STOOD_SHARE, STOOD_STEP_M, STOOD_GAP_M = 0.9, 0.02, 0.6
+STOOD_SHARE, STOOD_STEP_M, STOOD_GAP_M = 0.9, 0.08, 0.6
 """Of the footprint's radius: what of it is sure to have been over the floor, for poses are not exact. The way between
 two scans is followed in such steps, if it is no longer than the last."""
 
