@@ -93,23 +93,29 @@ class Grid:
 
         A larger cell is as occupied as the most occupied of those whose middle it holds, one of which nobody spoke
         being neither: no wall is lost, and what is not wholly known to be free is not free. It counts as observed if
-        one of them is.
+        one of them is. Nobody spoke of what lies outside of the grid.
         """
-        index, first = [], []
+        index, first, missing = [], [], []
+        ratio = resolution / self.resolution
         for count, low in zip(self.shape, self.origin[::-1], strict=True):
             begin = round(low / self.resolution)
             cells = np.arange(np.floor(begin * self.resolution / resolution + 1e-6),
                               np.ceil((begin + count) * self.resolution / resolution - 1e-6))  # fmt: skip
-            # Of a smaller cell: where its middle lies.
-            at = np.floor((cells + 0.5) * resolution / self.resolution + 1e-6).astype(int) - begin
-            if resolution > self.resolution:
-                at = np.ceil(cells * resolution / self.resolution - 0.5 - 1e-6).astype(int) - begin
-            index.append(np.clip(at, 0, max(count - 1, 0)))
+            if ratio > 1:  # the first whose middle it holds, and that of the cell behind the last
+                at = np.ceil(np.append(cells, cells[-1:] + 1) * ratio - 0.5 - 1e-6).astype(int) - begin
+                end = at[-1] if at.size else 0
+                at = at[:-1]
+            else:  # where its middle lies
+                at = np.floor((cells + 0.5) * ratio + 1e-6).astype(int) - begin
+                end = at[-1] + 1 if at.size else 0
+            missing.append((max(0, -at.min(initial=0)), max(0, end - count)))
+            index.append(at + missing[-1][0])
             first.append(float(cells[0] * resolution) if cells.size else 0.0)
         if not all(len(each) for each in index):
             return Grid(self.log_odds, self.observed, resolution, (first[1], first[0]), self.views)
 
         def taken(values: ndarray) -> ndarray:
+            values = np.pad(values, missing)
             if resolution <= self.resolution:
                 return values[np.ix_(*index)]
             return np.maximum.reduceat(np.maximum.reduceat(values, index[0], axis=0), index[1], axis=1)
@@ -169,6 +175,10 @@ class UnreadGrid(Grid):
     def __init__(self, read: Callable[[], Grid]):
         """``read`` is called once, at the first look."""
         object.__setattr__(self, "_read", read)
+
+    def __reduce__(self) -> tuple[type[Grid], tuple[Any, ...]]:
+        """A copy, or what is pickled, is the map as it is read: not what reads it, which is all of the mapper."""
+        return Grid, tuple(getattr(self, name) for name in _CELLS)
 
     def __getattribute__(self, name: str) -> Any:
         own = object.__getattribute__(self, "__dict__")

@@ -140,7 +140,9 @@ def train(robot: Robot | None, recipe: Recipe, out: Path, progress: bool = False
     network, made = _fitted(recipe, robot, out, told, progress)
     further = recipe.then(network)
     if further is not None:
-        network, more = _fitted(further, robot, out.with_suffix(".maps.npz"), told | further.told(), progress)
+        # What came before decides it as well, which may have numbers of the same names.
+        key = {"after": told, **further.told()}
+        network, more = _fitted(further, robot, out.with_suffix(".maps.npz"), key, progress)
         made += more
     network = replace(network, recipe=told | network.recipe)
     network.save(out)

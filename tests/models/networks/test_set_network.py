@@ -21,7 +21,7 @@ from echogrid.mapping.registry import sensor_model
 from echogrid.models import batches
 from echogrid.models.batches import BATCH, WINDOW_M
 from echogrid.models.model import LOOK_RAD
-from echogrid.models.networks import set_network
+from echogrid.models.networks import set_network, surroundings
 from echogrid.models.networks.memory import FAR_M, TRAITS, Memory
 from echogrid.models.networks.paper_network import Layers, Network, inputs
 from echogrid.models.networks.polar_map import (
@@ -38,6 +38,7 @@ from echogrid.models.networks.polar_map import (
 from echogrid.models.networks.set_layers import (
     AT_M,
     LIMIT,
+    LOOKS,
     RINGS_M,
     STEPS_M,
     TOKENS,
@@ -48,8 +49,9 @@ from echogrid.models.networks.set_layers import (
     fused,
     initial,
     nearest,
+    saturated,
 )
-from echogrid.models.networks.set_network import CAUTION, FORMAT, SetNetwork
+from echogrid.models.networks.set_network import FORMAT, SUMS, SetNetwork
 from echogrid.robot import Robot
 from echogrid.training.set_lessons import Lessons
 from echogrid.training.set_training import look, orders
@@ -59,7 +61,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::echogrid.DoubtWarning")  # plac
 B21, P3DX = Robot.load("b21"), Robot.load("p3dx")
 SCANS = 6
 UNITS = 12
-FOOTPRINT_M, MAX_RANGE_M = 0.22, 5.0
+FOOTPRINT_M, MAX_RANGE_M, BEAM_RAD = 0.22, 5.0, 0.4
 STEP_RAD = 2 * pi / BEARINGS
 TABLE_RAD = np.arange(BEARINGS) * STEP_RAD
 RING_CENTRES_M = (np.arange(RINGS) + 0.5) * RING_M
@@ -115,7 +117,7 @@ def table(mounts, ranges, traits=None, weights=None):
     """The local maps of scans, for an array in the middle of a robot."""
     traits = random_traits(len(ranges)) if traits is None else traits
     mounts, ranges = padded(mounts, ranges)
-    array = array_of(mounts, MAX_RANGE_M, FOOTPRINT_M)
+    array = array_of(mounts, MAX_RANGE_M, FOOTPRINT_M, BEAM_RAD)
     return np.asarray(table_of(weights or random_weights(), array, jnp.asarray(ranges), jnp.asarray(traits)))
 
 
@@ -262,8 +264,8 @@ def random_tokens(count=40, seed=0):
     rng = np.random.default_rng(seed)
     reading = random_scans(count, TOKENS, seed)
     axis, ahead, aside = (rng.normal(0, s, (TOKENS, count)).astype(np.float32) for s in (0.5, 0.15, 0.15))
-    longest = np.full(count, MAX_RANGE_M, dtype=np.float32)
-    return Tokens(*map(jnp.asarray, (reading, longest, axis, ahead, aside, random_traits(count, seed).T)))
+    longest, beam = np.full((2, 1, count), [[[MAX_RANGE_M]], [[BEAM_RAD / 2]]], dtype=np.float32)
+    return Tokens(*map(jnp.asarray, (reading, longest, beam, axis, ahead, aside, random_traits(count, seed).T)))
 
 
 def test_a_token_that_did_not_fire_is_no_token():
@@ -306,7 +308,7 @@ def test_readings_beyond_the_far_range_are_told_alike():
     far = np.isfinite(tokens.reading) & (tokens.reading > FAR_M)
     assert far.any()
     for value, longest in ((FAR_M + 0.01, 6.0), (9.0, 10.0)):
-        told = tokens._replace(reading=jnp.where(far, value, tokens.reading), max_range=jnp.full(40, longest))
+        told = tokens._replace(reading=jnp.where(far, value, tokens.reading), max_range=jnp.full((1, 40), longest))
         for here, there in zip(encode_of(random_weights(), told), encode_of(random_weights(), tokens), strict=True):
             np.testing.assert_allclose(here, there, atol=1e-4)
 
@@ -375,10 +377,12 @@ def test_each_scan_is_interpreted_by_itself_and_with_its_own_traits():
     assert np.abs(table(ARRAYS[10], ranges, traits[::-1]) - said).max() > 0.01
 
 
-def lessons_of(mounts, ranges, traits, max_range=MAX_RANGE_M):
+def lessons_of(mounts, ranges, traits):
     """One drive at whose points nobody looks."""
+    longest = np.full(len(mounts), MAX_RANGE_M)
+    told = (ranges, mounts, longest, BEAM_RAD, np.zeros((len(ranges), 3)))
     return Lessons(
-        *(jnp.asarray(v, jnp.float32)[None] for v in (ranges, mounts, max_range, np.zeros((len(ranges), 3)))),
+        *(jnp.asarray(v, jnp.float32)[None] for v in told),
         jnp.ones((1, len(ranges))),
         jnp.asarray(traits)[None],
         jnp.zeros((1, 1, 2)),
@@ -415,7 +419,7 @@ def seen(mounts, ranges, x, y, traits=None):
     x, y = (np.broadcast_to(np.asarray(v, dtype=np.float32), (len(ranges), np.shape(v)[-1])) for v in (x, y))
     traits = random_traits(len(ranges)) if traits is None else traits
     mounts, ranges = padded(mounts, ranges)
-    array = array_of(mounts, MAX_RANGE_M, FOOTPRINT_M)
+    array = array_of(mounts, MAX_RANGE_M, FOOTPRINT_M, BEAM_RAD)
     return np.asarray(view_of(random_weights(), array, ranges, traits, x, y))
 
 
@@ -505,18 +509,49 @@ def random_sums(count=50, seed=0):
     return [np.sum(np.maximum(side * said, 0.0) ** k, axis=0).astype(np.float32) for k in (1, 2) for side in (1, -1)]
 
 
-def test_the_mapper_fuses_as_the_training_and_leans_to_a_surface_by_what_caution_says():
+def read(network, sums, looks):
+    """Log-odds of cells that hold such sums of so many looks, each read alone."""
+    cells = dict(zip(SUMS, (*sums, np.broadcast_to(np.float32(looks), sums[0].shape)), strict=True))
+    return network.fusion(ROBOT, network.cell_m).told(cells | {"stood": np.zeros_like(sums[0])})
+
+
+def test_the_mapper_fuses_as_the_training():
     weights, sums = random_weights(), random_sums()
-    trained = np.asarray(fused(weights, *map(jnp.asarray, sums)))
-    leans = SetNetwork(weights, {}).fuse(*sums) - trained
-    np.testing.assert_allclose(leans, CAUTION * np.tanh(np.abs(trained)), atol=2e-3)
-    assert np.std(trained) > 1
+    for looks in (1.0, 30.0):
+        trained = fused(weights, *saturated(jnp.float32(looks), *map(jnp.asarray, sums)))
+        log_odds, observed = read(random_network(), sums, looks)
+        np.testing.assert_allclose(log_odds, trained, atol=2e-3)
+        assert observed.all()
+        assert np.std(trained) > 1
 
 
 def test_what_speaks_more_for_a_surface_makes_the_map_hold_more_of_one():
-    occupied = np.linspace(0, 6, 300)[None]
-    said = plain_network().fuse(occupied, 3 + 0 * occupied, 0 * occupied, 0 * occupied)
+    occupied = np.linspace(0, 6, 300)[None].astype(np.float32)
+    said, _ = read(plain_network(), [occupied, 3 + 0 * occupied, 0 * occupied, 0 * occupied], 5.0)
     assert np.all(np.diff(said) > 0)
+
+
+evidence_sums = st.lists(st.floats(0, 8), min_size=4, max_size=4).map(lambda v: [np.array([x]) for x in v])
+
+
+@given(evidence_sums, st.floats(0.01, 1e4))
+def test_twice_the_looks_of_the_same_means_are_surer_but_never_of_the_other_side(means, looks):
+    once, twice = (saturated(np.array([n]), *(n * mean for mean in means), xp=np) for n in (looks, 2 * looks))
+    for one, two, mean in zip(once, twice, means, strict=True):
+        assert one <= two <= 2 * one * (1 + 1e-9)
+        assert two <= LOOKS * mean * (1 + 1e-9)
+    # By Bayes' rule, and of any difference that the mean of the looks makes.
+    assert (once[0] - once[1]) * (twice[0] - twice[1]) >= 0
+
+
+@given(evidence_sums)
+def test_one_look_counts_nearly_in_full_and_any_number_no_more_than_looks(means):
+    np.testing.assert_allclose(saturated(np.ones(1), *means, xp=np), means, rtol=0.6 / LOOKS)
+    np.testing.assert_allclose(saturated(np.array([0.01]), *means, xp=np), means, rtol=0.006 / LOOKS)
+    for many in (20 * LOOKS, 1e6):
+        told = saturated(np.array([many]), *(many * mean for mean in means), xp=np)
+        np.testing.assert_allclose(told, np.multiply(LOOKS, means), rtol=1e-6)
+    np.testing.assert_array_equal(saturated(np.zeros(1), *(0 * mean for mean in means), xp=np), 0)
 
 
 def test_the_network_begins_by_fusing_nearly_as_bayes_rule():
@@ -527,19 +562,27 @@ def test_the_network_begins_by_fusing_nearly_as_bayes_rule():
 
 
 def test_of_what_no_view_speaks_nothing_is_known():
-    nothing = [np.zeros((2, 3), dtype=np.float32)] * 4
-    np.testing.assert_array_equal(random_network().fuse(*nothing), 0)
+    nothing = [np.zeros((2, 4), dtype=np.float32)] * 4
+    for network in (random_network(), replace(random_network(), around=random_around())):
+        log_odds, observed = read(network, nothing, 0.0)
+        np.testing.assert_array_equal(log_odds, 0)
+        assert not observed.any()
 
 
 def random_network(seed=0):
-    return SetNetwork(random_weights(seed), {"seed": seed}, "some")
+    """It reads each cell alone."""
+    return SetNetwork(random_weights(seed), None, {"seed": seed}, "some")
+
+
+def random_around(seed=0):
+    return surroundings.initial(np.random.default_rng(seed))
 
 
 def frames_of(poses, ranges):
     return [Frame(0.1 * i, np.asarray(p, dtype=float), r) for i, (p, r) in enumerate(zip(poses, ranges, strict=True))]
 
 
-ROBOT = Robot("ten", FOOTPRINT_M, B21.transducer, 0.1, MAX_RANGE_M, B21.beam_width_rad, ARRAYS[10])
+ROBOT = Robot("ten", FOOTPRINT_M, B21.transducer, 0.1, MAX_RANGE_M, BEAM_RAD, ARRAYS[10])
 COARSE_M = 0.1
 
 
@@ -549,17 +592,17 @@ def plain_network():
 
 
 @pytest.fixture
-def without_caution(monkeypatch):
+def without_standing(monkeypatch):
     """The map holds what the views say and nothing besides."""
-    monkeypatch.setattr(set_network, "CAUTION", 0.0)
+    monkeypatch.setattr(set_network, "STOOD", np.inf)
 
 
-def map_of(frames, resolution=COARSE_M):
+def map_of(frames, resolution=None):
     *_, grid = build_map(frames, ROBOT, plain_network(), resolution)
     return grid
 
 
-def on_world(grid, cells=300):
+def on_world(grid, cells=800):
     """Log-odds and observed cells of a grid on a fixed window of the world."""
     first = np.rint(np.array(grid.origin[::-1]) / grid.resolution).astype(int) + cells // 2
     world, spoken = np.zeros((cells, cells)), np.zeros((cells, cells), dtype=bool)
@@ -568,27 +611,28 @@ def on_world(grid, cells=300):
     return world, spoken
 
 
-def harmonic(count):
-    return np.sum(1 / np.arange(1, count + 1))
+def worth(count):
+    """What so many scans from one place are worth: the n-th counts 1/n, and all together they level off."""
+    return -LOOKS * np.expm1(-np.sum(1 / np.arange(1, count + 1)) / LOOKS)
 
 
-@pytest.mark.usefixtures("without_caution")
-def test_standing_still_says_the_harmonic_sum_of_one_frame():
+@pytest.mark.usefixtures("without_standing")
+def test_standing_still_says_the_saturated_harmonic_sum_of_one_frame():
     # Of a scan that stays the same the traits stay the same as well.
     scan = np.where(np.isnan(random_scans(10)[0]), 1.0, random_scans(10)[0])
     pose = np.array([0.33, -0.21, 0.4])
     short, long = (map_of(frames_of([pose] * n, [scan] * n)) for n in (9, 600))
     (some, there), (many, spoken) = on_world(short), on_world(long)
-    np.testing.assert_allclose(many / harmonic(600), some / harmonic(9), atol=2e-3)
+    np.testing.assert_allclose(many / worth(600), some / worth(9), atol=2e-3)
     np.testing.assert_array_equal(spoken, there)
     assert np.abs(some).max() > 1
-    assert np.abs(some).max() <= LIMIT * harmonic(9)
+    assert np.abs(some).max() <= LIMIT * worth(9)
 
 
-@pytest.mark.usefixtures("without_caution")
-def test_standing_still_says_at_most_the_harmonic_sum_of_the_limit():
+@pytest.mark.usefixtures("without_standing")
+def test_standing_still_says_at_most_the_saturated_harmonic_sum_of_the_limit():
     grid = map_of(frames_of([[0, 0, 0.1]] * 600, random_scans(10, 600)))
-    assert 0.1 * LIMIT * harmonic(600) < np.abs(grid.log_odds).max() <= LIMIT * harmonic(600)
+    assert 0.1 * LIMIT * worth(600) < np.abs(grid.log_odds).max() <= LIMIT * worth(600)
 
 
 def wandering(count):
@@ -609,7 +653,7 @@ def test_the_map_does_not_depend_on_what_is_interpreted_together(monkeypatch):
     assert np.mean(other[1] != whole[1]) < 1e-4
 
 
-@pytest.mark.usefixtures("without_caution")
+@pytest.mark.usefixtures("without_standing")
 def test_the_map_is_the_sum_of_its_views_and_each_counts_what_the_memory_says():
     frames = wandering(12)
     grid = map_of(frames)
@@ -621,22 +665,31 @@ def test_the_map_is_the_sum_of_its_views_and_each_counts_what_the_memory_says():
     to = grid.centre_of(cells) - poses[:, None, :2]
     c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
     x, y = c * to[..., 0] + s * to[..., 1], c * to[..., 1] - s * to[..., 0]
-    total = 0.0
+    total = looks = 0.0
     for part in (slice(0, SCANS), slice(SCANS, 2 * SCANS)):
         said = seen(ROBOT.mounts, ranges[part], x[part], y[part], recalled.traits[part])
         total += np.sum(recalled.weight[part, None] * said.astype(float), axis=0)
+        looks += np.sum(recalled.weight[part, None] * (said != 0), axis=0)
+    total, *_ = saturated(looks, total, xp=np)
     # Cells at the very edge of a view may fall to either side.
     assert np.mean(~np.isclose(grid.log_odds[tuple(cells.T)], total, atol=5e-3)) < 2e-3
     assert np.std(total) > 0.3
     assert recalled.weight.min() < 1
 
 
-def test_the_cells_of_its_map_are_fine_unless_others_are_asked_for(monkeypatch):
+def test_the_cells_of_its_map_are_fine_whatever_is_asked_for(monkeypatch):
+    frames = wandering(3)
+    fine = map_of(frames)
+    for resolution in (COARSE_M, 0.03):
+        other, expected = map_of(frames, resolution), fine.in_cells_of(resolution)
+        assert (other.resolution, other.origin, other.shape) == (resolution, expected.origin, expected.shape)
+        np.testing.assert_array_equal(other.log_odds, expected.log_odds)
     asked = []
     monkeypatch.setattr(mapper, "GrowingGrid", lambda resolution, _: asked.append(resolution))
     for resolution in (None, COARSE_M):
         assert list(build_map([], ROBOT, plain_network(), resolution)) == []
-    assert asked == [0.04, COARSE_M]
+        assert list(build_map([], ROBOT, "cone", resolution)) == []
+    assert asked == [0.04, sensor_model("cone").cell_m, 0.04, COARSE_M]
     assert sensor_model("cone").cell_m > random_network().cell_m == 0.04
 
 
@@ -652,13 +705,16 @@ def same_weights(a, b):
     return a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
 
 
+@pytest.mark.parametrize("around", [True, False], ids=["surroundings", "each cell alone"])
 @pytest.mark.parametrize("units", [1, 7, 24])
-def test_weights_that_are_saved_are_loaded(tmp_path, units):
-    network = SetNetwork(initial(np.random.default_rng(units), units), {"units": units})
+def test_weights_that_are_saved_are_loaded(tmp_path, units, around):
+    weights = initial(np.random.default_rng(units), units)
+    network = SetNetwork(weights, random_around() if around else None, {"units": units})
     network.save(tmp_path / "some.npz")
     loaded = SetNetwork.load(tmp_path / "some.npz")
     assert (loaded.recipe, loaded.name) == ({"units": units}, "some")
     assert same_weights(loaded.weights, network.weights)
+    assert same_weights(loaded.around, network.around) if around else loaded.around is None
     assert [path.name for path in tmp_path.iterdir()] == ["some.npz"]
 
 
@@ -695,7 +751,7 @@ def test_weights_of_the_other_kind_are_one_line(tmp_path):
 
 def saved(**changes):
     """The bytes of a weights file with some of its arrays replaced, or without those that are None."""
-    arrays = random_weights() | {"format": FORMAT, "recipe": "{}"} | changes
+    arrays = random_weights() | random_around() | {"format": FORMAT, "recipe": "{}"} | changes
     file = io.BytesIO()
     np.savez(file, **{k: v for k, v in arrays.items() if v is not None})
     return file.getvalue()
@@ -726,6 +782,8 @@ DAMAGED = {
     "weights that are objects": saved(w1=W1.astype(object)),
     "a weight that is no number": saved(w1=np.where(W1[0, 0] == W1, np.float32(nan), W1)),
     "an infinite bias": saved(b2=np.full(UNITS, inf, dtype=np.float32)),
+    "half of what reads surroundings": saved(s0=None, co=None),
+    "surroundings of other reach": saved(s3b=np.zeros(7, dtype=np.float32)),
     "profiles of other knots": saved(wp=np.zeros((UNITS, len(STEPS_M) + 1), dtype=np.float32)),
 }
 

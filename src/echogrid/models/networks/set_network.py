@@ -45,7 +45,7 @@ STOOD = -4.0
 
 STOOD_SHARE, STOOD_STEP_M, STOOD_GAP_M = 0.9, 0.08, 0.6
 """Of the footprint's radius: what of it is sure to have been over the floor, for poses are not exact. The way between
-two scans is followed in such steps, if it is no longer than the last."""
+two scans is followed in such steps (a large robot's are a tenth of its radius), if it is no longer than the last."""
 
 STRIP = 512
 """Rows of the map that are read out at once."""
@@ -104,6 +104,8 @@ class SetNetwork(Model):
             recipe, units = None, 0
         units = max(1, min(units, MAX_UNITS))  # more fit no file, but would fill the memory here
         own, around = initial(np.random.default_rng(0), units), surroundings.initial(np.random.default_rng(0))
+        if not data.keys() & around.keys():
+            around = {}
         fits = {name: value.shape for name, value in data.items()} == {
             name: value.shape for name, value in (own | around).items()
         }
@@ -115,8 +117,8 @@ class SetNetwork(Model):
             raise InputError(
                 path, "weights of other shapes, not finite, or without a recipe", "the arrays of a set network"
             )
-        split = [{name: data[name] for name in part} for part in (own, around)]
-        return SetNetwork(*split, recipe, Path(path).stem)
+        own, around = ({name: data[name] for name in part} for part in (own, around))
+        return SetNetwork(own, around or None, recipe, Path(path).stem)
 
 
 class _Told(NamedTuple):
@@ -141,6 +143,7 @@ class _Sums(Fusion):
         self.blank = dict.fromkeys((*SUMS, "stood"), np.float32(0)[...]) | {"views": np.int32(0)[...]}
         self.cell_m = cell = network.cell_m
         self._network, self._half_life = network, half_life
+        self._least = 0.0 if half_life is None else FORGOTTEN
         self._side = int(np.ceil(2 * REACH_M / cell)) + 2
         self.reach_cells = self._side
         span = self._side + int(np.ceil(WINDOW_M / cell)) + 1
@@ -217,16 +220,21 @@ class _Sums(Fusion):
         for name, added in zip((*SUMS, "views"), told.sums, strict=True):
             cells[name] += np.asarray(added)[:rows, :cols]
         self._now = max(self._now, told.stamp)
+        self._changed(evidence.corner, evidence.end)
         self._stand(grown, told)
-        low, high = self._stale or (evidence.corner, evidence.end)
-        self._stale = np.minimum(low, evidence.corner), np.maximum(high, evidence.end)
+
+    def _changed(self, corner: Int[ndarray, "2"], end: Int[ndarray, "2"]) -> None:
+        """Cells ``corner <= [row, col] < end`` are to be read out anew."""
+        low, high = self._stale or (corner, end)
+        self._stale = np.minimum(low, corner), np.maximum(high, end)
 
     def _stand(self, grown: GrowingGrid, told: _Told) -> None:
         """Note the floor on which the robot has stood, and over which it has come."""
         way = told.poses if self._last is None else np.concatenate([self._last[None], told.poses])
         self._last = told.poses[-1]
         steps = np.hypot(*np.diff(way, axis=0).T)
-        parts = np.where(steps <= STOOD_GAP_M, np.ceil(steps / STOOD_STEP_M), 1).astype(int)
+        step = max(STOOD_STEP_M, told.radius / 10)
+        parts = np.where(steps <= STOOD_GAP_M, np.ceil(steps / step), 1).astype(int)
         at = [
             a + (b - a) * (np.arange(1, n + 1) / n)[:, None]
             for a, b, n in zip(way, way[1:], parts, strict=False)
@@ -243,11 +251,16 @@ class _Sums(Fusion):
         if not len(cells):
             return
         low = cells.min(axis=0)
-        shape = cells.max(axis=0) - low + 1
-        stood = grown.window(low[::-1], (int(shape[1]), int(shape[0])))["stood"]
+        rows, cols = (int(n) for n in (cells.max(axis=0) - low + 1)[::-1])
+        # A robot may be larger than what its sonars tell of.
+        corner, (rows, cols) = grown.reserved(low[::-1], (rows, cols))
+        stood = grown.window(corner, (rows, cols))["stood"]
         weight = 1.0 if self._half_life is None else np.exp2((told.stamp - told.epoch) / self._half_life)
-        x, y = (cells - low).T
+        x, y = (cells - corner[::-1]).T
+        held = (x >= 0) & (x < cols) & (y >= 0) & (y < rows)
+        x, y = x[held], y[held]
         stood[y, x] = np.maximum(stood[y, x], np.float32(weight))
+        self._changed(corner, corner + (rows, cols))
 
     def _renew(self, grown: GrowingGrid, epoch: float) -> None:
         """Bring the sums to another epoch, so that they do not grow without end."""
@@ -291,8 +304,7 @@ class _Sums(Fusion):
 
     def told(self, cells: Layers) -> tuple[Float[ndarray, "rows cols"], Bool[ndarray, "rows cols"]]:
         """Log-odds of a rectangle of cells, and where anything is known; the first cell has even indices."""
-        least = 0.0 if self._half_life is None else FORGOTTEN
-        stood, observed = cells["stood"] > least, cells["occupied"] + cells["free"] > least
+        stood, observed = cells["stood"] > self._least, cells["occupied"] + cells["free"] > self._least
         telling = self.telling(cells)
         alone = 4 * telling[..., 4]
         if self._network.around is None:
@@ -307,7 +319,7 @@ class _Sums(Fusion):
         *sums, looks = (cells[name] for name in SUMS)
         sums = saturated(looks, *sums, xp=np)
         alone = np.where(cells["looks"] > 0, fused(self._network.weights, *sums, xp=np), np.float32(0))
-        return surroundings.features(sums, looks, alone, (cells["stood"] > 0).astype(np.float32))
+        return surroundings.features(sums, looks, alone, (cells["stood"] > self._least).astype(np.float32))
 
     @property
     def array(self) -> Float[ndarray, "told"]:
