@@ -12,6 +12,7 @@ from echogrid.mapping.mapper import Mapper
 from echogrid.mapping.registry import sensor_model
 from echogrid.models.networks import set_network
 from echogrid.models.networks.polar_map import array_of, asked, moved
+from echogrid.models.networks.set_layers import LOOKS
 from echogrid.models.networks.set_network import FORGOTTEN, SUMS, SetNetwork
 from echogrid.simulation.simulate import Simulator
 from echogrid.simulation.world import parse_world
@@ -34,7 +35,7 @@ NETWORK = default_network()
 def adding(network):
     """The network with views that are summed as Bayes' rule has it."""
     ones = {"ws": np.ones(1, np.float32), "wz": np.zeros_like(network.weights["wz"])}
-    return replace(network, weights=network.weights | ones)
+    return replace(network, weights=network.weights | ones, around=None)
 
 
 def scan(stamp, x=0.0, y=0.0, theta=0.0, seed=0, mounts=None):
@@ -42,8 +43,8 @@ def scan(stamp, x=0.0, y=0.0, theta=0.0, seed=0, mounts=None):
     return Frame(stamp, np.array([x, y, theta]), ranges, mounts=mounts)
 
 
-def mapped(frames, half_life=None, network=NETWORK):
-    mapper = Mapper(B21, network, CELL_M, half_life)
+def mapped(frames, half_life=None, network=NETWORK, cell_m=CELL_M):
+    mapper = Mapper(B21, network, cell_m, half_life)
     for frame in frames:
         mapper.add([frame])
     return mapper
@@ -67,18 +68,18 @@ def test_taking_scans_one_by_one_or_together_gives_one_map():
 
 def test_views_count_the_scans_that_spoke_of_a_cell():
     frames = [scan(0.2 * i, 0.3 * i, seed=i) for i in range(5)]
-    total = mapped(frames)
-    alone = [mapped([frame]) for frame in frames]
-    said = sum(near(mapper)[1].astype(int) for mapper in alone)
-    grid = total.grid()
-    rows = slice(*(np.round((np.array([-3.0, 3.0]) - grid.origin[1]) / CELL_M).astype(int)))
-    views = np.zeros_like(said)
-    part = grid.views[max(rows.start, 0) : rows.stop]
-    first = round((-3.0 - grid.origin[0]) / CELL_M)
-    views[max(-rows.start, 0) :][: len(part), max(-first, 0) :] = part[:, max(first, 0) :][:, : 60 - max(-first, 0)]
-    np.testing.assert_array_equal(views, said)
-    np.testing.assert_array_equal(grid.observed, grid.views > 0)
+    fine = NETWORK.cell_m
+    grid = mapped(frames, cell_m=fine).grid()
+    points = grid.centre_of(np.argwhere(np.ones(grid.shape)))
+    said = sum((mapped([frame], cell_m=fine).grid().probability_at(points) != 0.5).astype(int) for frame in frames)
+    # In each scan the robot speaks of the floor under it as well.
+    stood = np.min(np.hypot(*(points[:, None] - [f.pose[:2] for f in frames]).T), axis=0) < B21.footprint_radius_m
+    np.testing.assert_array_equal(grid.views.ravel()[~stood], said[~stood])
+    np.testing.assert_array_equal(grid.observed.ravel()[~stood], said[~stood] > 0)
+    assert grid.observed.ravel()[stood].all()
     assert said.max() == 5
+    # A larger cell counts those of that part of it of which most spoke.
+    np.testing.assert_array_equal(mapped(frames).grid().views, grid.in_cells_of(CELL_M).views)
 
 
 def test_a_part_of_the_map_is_that_of_the_whole_and_nothing_beyond():
@@ -95,20 +96,27 @@ def test_a_part_of_the_map_is_that_of_the_whole_and_nothing_beyond():
     np.testing.assert_array_equal(part.log_odds, before)
 
 
+def worth(looks):
+    """What looks are worth, of which the first counts one."""
+    return -LOOKS * np.expm1(-looks / LOOKS)
+
+
 @pytest.fixture
-def without_caution(monkeypatch):
-    monkeypatch.setattr(set_network, "CAUTION", 0.0)
+def without_standing(monkeypatch):
+    """The map holds what the views say and nothing besides."""
+    monkeypatch.setattr(set_network, "STOOD", np.inf)
 
 
-@pytest.mark.usefixtures("without_caution")
+@pytest.mark.usefixtures("without_standing")
 @pytest.mark.parametrize("begin", [0.0, -50.0, 1.7e9])
 def test_evidence_counts_half_after_a_half_life(begin):
     adds = adding(NETWORK)
-    fresh, spoken = near(mapped([scan(begin)], None, adds))
+    fresh, spoken = near(mapped([scan(begin)], None, adds, adds.cell_m))
     for ages in (1, 3):
-        aged = mapped([scan(begin), scan(begin + 10.0 * ages, FAR)], 10.0, adds)
+        aged = mapped([scan(begin), scan(begin + 10.0 * ages, FAR)], 10.0, adds, adds.cell_m)
         faded, told = near(aged)
-        np.testing.assert_allclose(faded[told], fresh[told] / 2**ages, rtol=1e-4)
+        # The looks count half as well, and level off less.
+        np.testing.assert_allclose(faded[told], fresh[told] * worth(0.5**ages) / worth(1), rtol=1e-4)
         # Of what has all but faded nothing is told any more.
         assert np.all(np.abs(fresh[spoken & ~told]) <= 1.01 * FORGOTTEN * 2**ages)
         assert not (told & ~spoken).any()
@@ -120,7 +128,7 @@ def test_evidence_of_long_ago_is_forgotten_and_no_number_overflows():
     mapper = Mapper(B21, NETWORK, CELL_M, 1.0)
     for stamp in (0.0, 20.0, 31.0, 40.0, 1e3, 1e6):
         mapper.add([scan(stamp, FAR * (stamp > 0))])
-    fresh, _ = near(mapped([scan(0.0)]))
+    fresh, _ = near(mapped([scan(0.0)], 1.0))
     assert not near(mapper)[1].any()
     latest, still = near(mapper, FAR)
     assert still.sum() > 1000
@@ -183,7 +191,7 @@ def test_a_person_walks_through_and_is_gone():
 
 
 def test_sonars_that_looked_from_the_mounts_of_the_robot_say_what_they_always_say():
-    fixed = array_of(B21.mounts, B21.max_range_m, B21.footprint_radius_m, ends=True)
+    fixed = array_of(B21.mounts, B21.max_ranges_m, B21.footprint_radius_m, B21.beam_width_rad, ends=True)
     for name, value in moved(fixed, B21.mounts.astype(np.float32), asked(B21.mounts))._asdict().items():
         there = fixed.sonar[:, :, None] >= 0 if name == "distance" else True
         if name == "looks":

@@ -64,14 +64,15 @@ def test_lessons_have_the_shapes_that_they_promise(made):
     most = MOST_SONARS[1]
     assert made.ranges.shape == (DRIVES, FRAMES, most)
     assert made.mounts.shape == (DRIVES, most, 3)
-    assert made.max_range.shape == (DRIVES,)
+    assert made.max_range.shape == (DRIVES, most)
+    assert made.beam.shape == (DRIVES,)
     assert made.poses.shape == (DRIVES, FRAMES, 3)
     assert made.weight.shape == (DRIVES, FRAMES)
     assert made.traits.shape == (DRIVES, FRAMES, TRAITS)
     assert made.points.shape == (DRIVES, sum(POINTS), 2)
     assert made.label.shape == (DRIVES, sum(POINTS))
     assert made.ranges.dtype == np.float16
-    for field in (made.poses, made.weight, made.traits, made.points, made.max_range):
+    for field in (made.poses, made.weight, made.traits, made.points, made.max_range, made.beam):
         assert np.isfinite(field).all()
 
 
@@ -90,7 +91,7 @@ def test_readings_are_those_of_sonars_that_are_there(made):
     assert not np.isneginf(there).any()
     for ranges, longest in zip(made.ranges, made.max_range, strict=True):
         # float16 has 2 mm at 4 m.
-        assert ranges[np.isfinite(ranges)].max() <= longest * (1 + 1e-3)
+        assert np.all(np.max(ranges, axis=0, where=np.isfinite(ranges), initial=0.0) <= longest * (1 + 1e-3))
     # The sonars that are there come first.
     np.testing.assert_array_equal(missing, np.sort(missing, axis=1))
     assert 1 <= np.sum(~missing, axis=1).min() < MOST_SONARS[0]
@@ -111,7 +112,8 @@ def test_a_robot_drives_with_its_own_array(with_b21):
     sonars = B21.sonars
     np.testing.assert_allclose(with_b21.mounts[:, :sonars], np.tile(B21.mounts, (4, 1, 1)), atol=1e-6)
     assert np.isnan(with_b21.mounts[:, sonars:]).all()
-    np.testing.assert_allclose(with_b21.max_range, B21.max_range_m)
+    np.testing.assert_allclose(with_b21.max_range[:, :sonars], B21.max_range_m)
+    np.testing.assert_allclose(with_b21.beam, B21.beam_width_rad)
 
 
 def test_a_seed_gives_the_same_lessons_however_many_are_asked_for(made):

@@ -8,7 +8,7 @@ import pytest
 from echogrid.mapping.registry import sensor_model
 from echogrid.metrics import FREE, HIDDEN, SURFACE
 from echogrid.models.networks import set_layers
-from echogrid.models.networks.set_layers import fused, initial, nearest
+from echogrid.models.networks.set_layers import fused, initial, nearest, saturated
 from echogrid.models.networks.set_network import SetNetwork
 from echogrid.training import drives, set_training
 from echogrid.training import gradient_descent as descent
@@ -133,6 +133,7 @@ def plain_loss(weights, batch):
 def log_odds_of(weights, said, counts):
     """What the map holds of a point of which scans that count so much say so much."""
     sides = [np.array([np.sum(counts * np.maximum(s * said, 0) ** k)]) for k in (1, 2) for s in (1, -1)]
+    sides = saturated(np.array([np.sum(counts)]), *sides, xp=np)
     return float(fused({name: np.asarray(value, dtype=float) for name, value in weights.items()}, *sides, np)[0])
 
 

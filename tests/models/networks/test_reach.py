@@ -22,7 +22,7 @@ from echogrid.models.networks.set_layers import initial
 from echogrid.robot import Robot, preset_names
 
 B21 = Robot.load("b21")
-SCANS, MOST, POINTS, FOOTPRINT_M = 3, 10, 4000, 0.1
+SCANS, MOST, POINTS, FOOTPRINT_M, BEAM_RAD = 3, 10, 4000, 0.1, 0.4
 SEEN, SEEN_MOVED = jax.jit(view), jax.jit(moved_view)
 
 
@@ -57,8 +57,8 @@ def told(mounts, longest, ranges, points, moved):
     x, y = (np.broadcast_to(v.astype(np.float32), (SCANS, len(points))) for v in points.T)
     traits = np.full((SCANS, 4), 0.4, np.float32)
     if not moved:
-        return np.asarray(SEEN(talkative(), array_of(mounts, longest, FOOTPRINT_M, True), ranges, traits, x, y))
-    elsewhere = array_of(mounts + np.array([0.2, -0.1, 1.0]), longest, FOOTPRINT_M, True)
+        return np.asarray(SEEN(talkative(), array_of(mounts, longest, FOOTPRINT_M, BEAM_RAD, True), ranges, traits, x, y))
+    elsewhere = array_of(mounts + np.array([0.2, -0.1, 1.0]), longest, FOOTPRINT_M, BEAM_RAD, True)
     each = np.tile(mounts, (SCANS, 1, 1))
     looked = each.astype(np.float32), asked_for(each)
     return np.asarray(SEEN_MOVED(talkative(), elsewhere, ranges, traits, x, y, *looked))
@@ -128,7 +128,7 @@ def test_ranges_past_the_local_map_change_nothing():
     mounts, _, ranges = drawn(3, 8, least=0.0)
     mounts, ranges = filled(mounts, MOST), filled(ranges.T, MOST).T.astype(np.float32)
     x, y = (np.broadcast_to(v.astype(np.float32), (SCANS, POINTS)) for v in points.T)
-    free, bound = (array_of(mounts, 3.5, FOOTPRINT_M, ends) for ends in (False, True))
+    free, bound = (array_of(mounts, 3.5, FOOTPRINT_M, BEAM_RAD, ends) for ends in (False, True))
     assert free.ends is None
     assert bound.ends is not None
     traits = np.full((SCANS, 4), 0.4, np.float32)
@@ -143,7 +143,9 @@ def test_the_presets_reach_past_the_local_map(name):
     assert ends_within(robot.mounts, np.where(np.arange(robot.sonars) == 1, 0.9, robot.max_ranges_m))
 
 
-CELL_M = 0.05
+CELL_M = 0.04
+"""As the set network keeps its map: a larger cell is observed if a part of it is."""
+
 POSES = np.array([[0.13 * i, 0.05 * i, 0.3 * i] for i in range(12)])
 
 
