@@ -1,4 +1,7 @@
+import copy
+import pickle
 import tracemalloc
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -7,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from echogrid.errors import UsageError
-from echogrid.grid import MAX_CELLS, P_MAX, P_MIN, Grid, GrowingGrid, covered, logit, sigmoid, span
+from echogrid.grid import MAX_CELLS, P_MAX, P_MIN, Grid, GrowingGrid, UnreadGrid, covered, logit, sigmoid, span
 
 resolutions = st.sampled_from([0.05, 0.1, 0.12, 0.25, 1.0])
 origins = st.tuples(st.floats(-50, 50), st.floats(-50, 50))
@@ -314,3 +317,166 @@ def test_room_is_found_for_all_that_can_be_reserved_part_by_part():
                 {"log_odds": np.broadcast_to(np.float32(0), bounds[1] - bounds[0])},
             )
     assert 0 < refused < 7
+
+
+FINE_CM = 4
+coarser = st.sampled_from([5, 6, 7, 8, 10, 12, 15, 25, 50])
+finer = st.sampled_from([1, 2, 3, 4])
+fine_maps = st.tuples(
+    st.integers(0, 2**32), st.integers(1, 40), st.integers(1, 40), st.integers(-90, 90), st.integers(-90, 90)
+)
+
+
+def fine_map(drawn, speckled=0.3):
+    """Some of its cells are unobserved and hold 0, as those outside do."""
+    seed, rows, cols, row, col = drawn
+    rng = np.random.default_rng(seed)
+    observed = rng.random((rows, cols)) > speckled
+    log_odds = np.where(observed, rng.normal(-1, 2, (rows, cols)), 0).astype(np.float32)
+    views = rng.integers(1, 9, (rows, cols)).astype(np.int32) * observed
+    return Grid(log_odds, observed, FINE_CM / 100, (col * FINE_CM / 100, row * FINE_CM / 100), views)
+
+
+def cells_told(grid, size_cm):
+    """What a map says of each cell of the world [row, col]: log-odds, observed, views."""
+    first = np.rint(np.array(grid.origin[::-1]) * 100 / size_cm).astype(int)
+    index = first + np.argwhere(np.ones(grid.shape, dtype=bool))
+    layers = (grid.log_odds.ravel().tolist(), grid.observed.ravel().tolist(), grid.views.ravel().tolist())
+    return dict(zip(map(tuple, index.tolist()), zip(*layers, strict=True), strict=True))
+
+
+@given(fine_maps, coarser)
+def test_a_coarser_cell_is_as_occupied_as_the_most_occupied_of_its_parts(drawn, size_cm):
+    grid = fine_map(drawn)
+    told, parts = cells_told(grid, FINE_CM), {}
+    # Whole numbers of centimetres: no rounding decides. Of every cell that might be met all parts are asked.
+    low, high = (np.array(end) * FINE_CM // size_cm for end in (min(told), np.add(max(told), 1)))
+    for row in range((low[0] - 1) * size_cm // FINE_CM - 1, (high[0] + 2) * size_cm // FINE_CM + 1):
+        for col in range((low[1] - 1) * size_cm // FINE_CM - 1, (high[1] + 2) * size_cm // FINE_CM + 1):
+            at = tuple((FINE_CM * i + FINE_CM // 2) // size_cm for i in (row, col))
+            parts.setdefault(at, []).append(told.get((row, col), (0.0, False, 0)))
+    coarse = grid.in_cells_of(size_cm / 100)
+    assert coarse.resolution == size_cm / 100
+    found = cells_told(coarse, size_cm)
+    for at, (log_odds, observed, views) in found.items():
+        assert (log_odds, observed, views) == tuple(max(part) for part in zip(*parts[at], strict=True))
+    # No cell of which somebody spoke is left out.
+    spoken = {at for at, each in parts.items() if any(part[1] for part in each)}
+    assert spoken <= found.keys()
+
+
+@given(fine_maps, coarser)
+def test_a_wall_of_one_cell_is_never_lost_and_free_is_what_is_wholly_free(drawn, size_cm):
+    grid = fine_map(drawn)
+    coarse = grid.in_cells_of(size_cm / 100)
+    points = grid.centre_of(np.argwhere(grid.log_odds > 0))
+    assert np.all(coarse.probability_at(points + 1e-7) >= grid.probability_at(points) - 1e-6)
+    free = coarse.centre_of(np.argwhere(coarse.log_odds < 0))
+    offset = (np.arange(0, size_cm) + 0.5 - size_cm / 2) / 100
+    for dx in offset:
+        for dy in offset[:: max(1, size_cm // 5)]:
+            at = free + [dx, dy]
+            # Of a cell on the edge the other side may hold the middle.
+            middle = grid.centre_of(grid.index_of(at))
+            inside = np.all(np.abs(middle - free) < size_cm / 200 - 1e-6, axis=1)
+            assert np.all(grid.probability_at(at)[inside] < 0.5)
+
+
+@given(fine_maps, finer)
+def test_a_finer_cell_is_what_the_cell_is_in_which_its_middle_lies(drawn, size_cm):
+    grid = fine_map(drawn)
+    fine = grid.in_cells_of(size_cm / 100)
+    told, found = cells_told(grid, FINE_CM), cells_told(fine, size_cm)
+    for at, value in found.items():
+        of = tuple((2 * k + 1) * size_cm // (2 * FINE_CM) for k in at)
+        assert value == told.get(of, (0.0, False, 0))
+    assert len(found) >= grid.observed.size * (FINE_CM / size_cm) ** 2 - 1e-6
+
+
+@given(fine_maps)
+def test_in_cells_of_the_same_size_a_map_is_the_same(drawn):
+    grid = fine_map(drawn)
+    same = grid.in_cells_of(grid.resolution)
+    for name in ("log_odds", "observed", "views"):
+        np.testing.assert_array_equal(getattr(same, name), getattr(grid, name))
+    assert same.origin == pytest.approx(grid.origin)
+    assert same.resolution == grid.resolution
+
+
+@given(fine_maps, st.one_of(coarser, finer), st.integers(0, 9), st.integers(0, 9))
+def test_how_much_room_a_map_has_round_it_does_not_matter_in_other_cells(drawn, size_cm, before, after):
+    grid = fine_map(drawn)
+    room = tuple(n + before + after for n in grid.shape)
+    wide = grid.part(np.array([-before, -before]), room)
+    tight, wide = (g.in_cells_of(size_cm / 100) for g in (grid, wide))
+    points = wide.centre_of(np.argwhere(np.ones(wide.shape, dtype=bool)))
+    np.testing.assert_array_equal(wide.probability_at(points), tight.probability_at(points))
+
+
+def test_a_map_of_no_cells_has_none_of_any_size():
+    for size in (0.03, 0.04, 0.1):
+        assert GrowingGrid(0.04).grid().in_cells_of(size).shape == (0, 0)
+        assert GrowingGrid(0.04).grid().in_cells_of(size).resolution == size
+
+
+def unread(grid):
+    """A map that is not read yet, and how often it was."""
+    read = []
+    return UnreadGrid(lambda: read.append(1) or grid), read
+
+
+def test_a_map_that_nobody_looks_at_is_not_read_and_one_that_is_looked_at_is_read_once():
+    grid = fine_map((1, 5, 7, -3, 4))
+    lazy, read = unread(grid)
+    assert isinstance(lazy, Grid)
+    assert not read
+    for _ in range(2):
+        assert lazy.log_odds is grid.log_odds
+        assert lazy.views is grid.views
+        assert lazy.shape == (5, 7)
+        assert repr(lazy) == repr(grid)
+        np.testing.assert_array_equal(lazy.probability(), grid.probability())
+        np.testing.assert_array_equal(lazy.part(np.zeros(2, int), (2, 2)).log_odds, grid.log_odds[:2, :2])
+        np.testing.assert_array_equal(lazy.in_cells_of(0.1).log_odds, grid.in_cells_of(0.1).log_odds)
+    assert read == [1]
+
+
+@pytest.mark.parametrize("way", [copy.copy, copy.deepcopy, lambda grid: pickle.loads(pickle.dumps(grid))])
+@pytest.mark.parametrize("looked", [True, False])
+def test_a_copy_of_a_map_that_is_not_read_yet_is_the_map_and_reads_nothing_later(way, looked):
+    grid = fine_map((1, 5, 7, -3, 4))
+    lazy, read = unread(grid)
+    if looked:
+        assert lazy.shape
+    other = way(lazy)
+    assert read == [1]
+    assert type(other) is Grid
+    for field in fields(Grid):
+        np.testing.assert_array_equal(getattr(other, field.name), getattr(grid, field.name))
+    assert (other.log_odds is grid.log_odds) == (way is copy.copy)
+
+
+@given(st.integers(0, 2**32), st.integers(-40, 40), st.integers(-40, 40), st.integers(0, 30), st.integers(0, 30))
+def test_copied_layers_of_any_rectangle_are_those_of_the_map_and_blank_outside(seed, row, col, rows, cols):
+    rng = np.random.default_rng(seed)
+    grown = GrowingGrid(0.1, {"count": np.int32(7)[...]})
+    corner = np.array([row, col])
+    if seed % 5:
+        low = rng.integers(-20, 20, 2)
+        high = low + rng.integers(1, 30, 2)
+        grown.reserve(low, high)
+        grown.layers()["log_odds"][:] = rng.normal(0, 1, tuple(high - low))
+        grown.layers()["count"][:] = rng.integers(0, 99, tuple(high - low))
+    copies = grown.copied(corner, (rows, cols), ("log_odds", "count"))
+    expected = grown.part(corner, (rows, cols))
+    np.testing.assert_array_equal(copies["log_odds"], expected.log_odds)
+    first, size = grown.reserved(corner, (rows, cols))
+    blank = np.ones((rows, cols), dtype=bool)
+    blank[tuple(slice(a, a + n) for a, n in zip(first - corner, size, strict=True))] = False
+    assert np.all(copies["count"][blank] == 7)
+    assert np.all(copies["log_odds"][blank] == 0)
+    if all(size):
+        held = grown.window(first, size)["count"]
+        np.testing.assert_array_equal(copies["count"][~blank], held.ravel())
+    copies["log_odds"][:] = 99
+    assert not np.any(grown.grid().log_odds == 99)
