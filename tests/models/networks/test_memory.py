@@ -181,3 +181,56 @@ def test_an_earlier_scan_fades():
     first, second = np.full(24, inf), np.full(24, 1.0)
     shares = traits_of(B21, [first] * 400 + [second] * 10)[-10:, no_echo]
     np.testing.assert_allclose(shares, FADE ** np.arange(1, 11), atol=1e-3)
+
+
+RING = np.column_stack([np.zeros((12, 2)), np.arange(12) * pi / 6])
+
+
+def in_turn(groups, rounds):
+    """Readings of a ring of which one group of sonars fires after the other."""
+    scan, sonar = np.indices((groups * rounds, 12))
+    return np.where(scan % groups == sonar % groups, 1.0, nan)
+
+
+def weights_at(scans, mounts=RING, poses=None):
+    poses = np.tile(ORIGIN, (len(scans), 1)) if poses is None else poses
+    return Memory(mounts).take(poses, np.array(scans, dtype=float)).weight
+
+
+@pytest.mark.parametrize("groups", [2, 3, 4, 6])
+def test_sonars_that_fire_in_turn_have_looked_once_when_all_have_fired(groups):
+    weight = weights_at(in_turn(groups, 20))
+    # No part of the first whole scan repeats another.
+    np.testing.assert_array_equal(weight[:groups], 1)
+    # After so many rounds a part counts what a whole scan would.
+    np.testing.assert_allclose(weight[groups - 1 :: groups], 1 / np.arange(1, 21), rtol=1e-6)
+    assert np.all(np.diff(weight) <= 1e-9)
+    # So a sonar counts in all what it counts where all fire together, but for what parts within a round differ.
+    for group in range(groups):
+        total, whole = weight[group::groups].sum(), np.sum(1 / np.arange(1, 21))
+        assert whole - 1e-6 <= total < whole + 1
+
+
+@settings(max_examples=40)
+@given(st.lists(st.integers(0, 12), min_size=1, max_size=30), st.integers(0, 1000))
+def test_a_scan_counts_what_came_before_by_the_share_of_the_sonars_that_fired(fired, seed):
+    rng = np.random.default_rng(seed)
+    scans = np.full((len(fired), 12), nan)
+    for row, count in zip(scans, fired, strict=True):
+        row[rng.permutation(12)[:count]] = rng.choice([1.0, inf])
+    expected = 1 / np.maximum(np.cumsum(fired) / 12, 1)
+    np.testing.assert_allclose(weights_at(scans), expected, rtol=1e-5)
+
+
+def test_scans_in_which_no_sonar_fired_count_nothing_of_what_comes_after():
+    scans = np.ones((4, 12))
+    scans[:3] = nan
+    np.testing.assert_array_equal(weights_at(scans), 1)
+
+
+def test_sonars_that_are_not_there_do_not_fire():
+    mounts = np.pad(RING, [(0, 12), (0, 0)], constant_values=nan)
+    scans = np.ones((9, 24))
+    scans[:, 12:] = nan
+    np.testing.assert_array_equal(weights_at(scans, mounts), weights_at(scans[:, :12]))
+    np.testing.assert_allclose(weights_at(scans, mounts), 1 / np.arange(1, 10), rtol=1e-6)
