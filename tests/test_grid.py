@@ -375,7 +375,7 @@ def test_a_wall_of_one_cell_is_never_lost_and_free_is_what_is_wholly_free(drawn,
     offset = (np.arange(0, size_cm) + 0.5 - size_cm / 2) / 100
     for dx in offset:
         for dy in offset[:: max(1, size_cm // 5)]:
-            at = free + [dx, dy]
+            at = free + np.array([dx, dy])
             # Of a cell on the edge the other side may hold the middle.
             middle = grid.centre_of(grid.index_of(at))
             inside = np.all(np.abs(middle - free) < size_cm / 200 - 1e-6, axis=1)

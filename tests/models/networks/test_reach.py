@@ -57,7 +57,9 @@ def told(mounts, longest, ranges, points, moved):
     x, y = (np.broadcast_to(v.astype(np.float32), (SCANS, len(points))) for v in points.T)
     traits = np.full((SCANS, 4), 0.4, np.float32)
     if not moved:
-        return np.asarray(SEEN(talkative(), array_of(mounts, longest, FOOTPRINT_M, BEAM_RAD, True), ranges, traits, x, y))
+        return np.asarray(
+            SEEN(talkative(), array_of(mounts, longest, FOOTPRINT_M, BEAM_RAD, True), ranges, traits, x, y)
+        )
     elsewhere = array_of(mounts + np.array([0.2, -0.1, 1.0]), longest, FOOTPRINT_M, BEAM_RAD, True)
     each = np.tile(mounts, (SCANS, 1, 1))
     looked = each.astype(np.float32), asked_for(each)

@@ -4,6 +4,7 @@ What scans tell is drawn at random here, so that nothing has to be compiled.
 """
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -166,7 +167,7 @@ def distances(points, way):
     """From points [n, 2] to places, and to what was drawn of the way between them, m."""
     at = np.min(np.hypot(*(points[:, None] - way).T), axis=0)
     to_way = at.copy()
-    for a, b in zip(way, way[1:], strict=False):
+    for a, b in pairwise(way):
         if 0 < np.hypot(*(b - a)) <= STOOD_GAP_M:
             t = np.clip((points - a) @ (b - a) / np.sum((b - a) ** 2), 0, 1)
             to_way = np.minimum(to_way, np.hypot(*(points - a - t[:, None] * (b - a)).T))

@@ -76,7 +76,7 @@ def test_the_reach_is_used():
         other[middle, middle] = 5.0
         changed = corrected(weights_of(seed), other, ARRAY) != corrected(weights_of(seed), told, ARRAY)
         far = max(far, np.abs(np.argwhere(changed) - middle).max())
-    assert REACH == PACK * sum(DILATIONS)
+    assert PACK * sum(DILATIONS) == REACH
     assert REACH - PACK < far <= REACH + PACK - 1
 
 

@@ -124,7 +124,7 @@ class SetNetwork(Model):
 class _Told(NamedTuple):
     """What a batch of scans adds to its window of the map."""
 
-    sums: Sequence[Float[Array, "span span"]]
+    sums: Sequence[Float[Array | ndarray, "span span"]]
     """See SUMS, and last the scans that spoke; cells past the window's end are to be left out."""
     stamp: float
     """Time of the last scan, s."""
@@ -260,7 +260,7 @@ class _Sums(Fusion):
         held = (x >= 0) & (x < cols) & (y >= 0) & (y < rows)
         x, y = x[held], y[held]
         stood[y, x] = np.maximum(stood[y, x], np.float32(weight))
-        self._changed(corner, corner + (rows, cols))
+        self._changed(corner, corner + np.array([rows, cols]))
 
     def _renew(self, grown: GrowingGrid, epoch: float) -> None:
         """Bring the sums to another epoch, so that they do not grow without end."""
