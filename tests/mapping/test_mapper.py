@@ -8,6 +8,7 @@ from numpy import inf, nan
 from echogrid import Frame, Robot, build_map
 from echogrid.errors import UsageError
 from echogrid.geometry import compose
+from echogrid.grid import Grid
 from echogrid.mapping.mapper import Mapper
 from echogrid.mapping.registry import sensor_model
 from echogrid.models.networks import set_network
@@ -94,6 +95,48 @@ def test_a_part_of_the_map_is_that_of_the_whole_and_nothing_beyond():
     before = part.log_odds.copy()
     mapper.add([scan(0.4, 2.0, seed=2)])
     np.testing.assert_array_equal(part.log_odds, before)
+
+
+def test_maps_on_the_way_are_read_when_they_are_looked_at_and_hold_what_came_so_far(monkeypatch):
+    frames = [scan(30.0 * i, FAR * i, seed=i) for i in range(4)]  # so far from each other that each is summed alone
+    read, whole = [], Mapper.grid
+    monkeypatch.setattr(Mapper, "grid", lambda mapper: read.append(1) or whole(mapper))
+    *_, unread = build_map(frames, B21, NETWORK, CELL_M)
+    assert not read
+    assert isinstance(unread, Grid)
+    expected = mapped(frames).grid()
+    read.clear()
+    assert unread.shape == expected.shape
+    np.testing.assert_allclose(unread.log_odds, expected.log_odds, atol=2e-3)
+    assert read == [1]
+    for count, grid in enumerate(build_map(frames, B21, NETWORK, CELL_M), 1):
+        so_far = mapped(frames[:count]).grid()
+        points = so_far.centre_of(np.argwhere(so_far.observed))
+        np.testing.assert_allclose(grid.probability_at(points), so_far.probability_at(points), atol=2e-3)
+        assert grid.observed.sum() == len(points)
+    assert count == len(frames)
+
+
+@pytest.mark.parametrize("cell_m", [0.03, 0.04, 0.05, 0.25])
+def test_a_part_of_a_map_that_is_told_in_other_cells_is_that_of_the_whole(cell_m):
+    mapper = mapped([scan(0.0, -0.7, -0.3), scan(0.2, -0.4, -0.3, seed=1)], cell_m=cell_m)
+    for x, y, side in ((-1.3, -2.1, 1.5), (0.02, 1.0, 2.0), (-2.9, 0.3, 3.0)):
+        part = mapper.around(x, y, side)
+        assert part.shape == (round(side / cell_m),) * 2
+        np.testing.assert_allclose(np.array(part.origin) / cell_m % 1 % (1 - 1e-6), 0, atol=1e-6)
+        assert np.all(np.abs(np.array(part.origin) + side / 2 - [x, y]) <= 1.01 * cell_m)
+        whole = mapper.grid()
+        points = part.centre_of(np.argwhere(np.ones(part.shape)))
+        np.testing.assert_allclose(part.probability_at(points), whole.probability_at(points), atol=1e-5)
+        assert part.observed.any()
+
+
+@pytest.mark.parametrize("footprint_m", [0.05, 3.0])
+def test_the_floor_of_robots_of_any_size_is_free(footprint_m):
+    robot = replace(B21, footprint_radius_m=footprint_m)
+    mapper = Mapper(robot, NETWORK, NETWORK.cell_m)
+    mapper.add([scan(0.2 * i, 0.1 * i, seed=i) for i in range(3)])
+    assert np.all(mapper.grid().probability_at(np.array([[0.0, 0.0], [0.1, 0.0], [0.15, 0.02], [0.2, 0.0]])) < 0.03)
 
 
 def worth(looks):

@@ -102,7 +102,10 @@ def test_neither_the_order_of_scans_nor_when_which_part_is_read_changes_the_map(
 def test_a_part_that_is_read_is_that_of_the_whole_and_the_rest_follows(around):
     rng = np.random.default_rng(0)
     network, shape = network_of(around), (90, 80)
-    first, second = (told_at(c, shape, random_sums(rng, shape), (0, 0)) for c in ([-50, -40], [-20, 0]))
+    first, second = (
+        told_at(corner, shape, random_sums(rng, shape), place)
+        for corner, place in (([-50, -40], (0.0, 0.0)), ([-20, 0], (1.0, 1.0)))
+    )
     fusion, grown = map_of(network)
     fused(fusion, grown, first)
     read(fusion, grown)
