@@ -45,7 +45,8 @@ STOOD = -4.0
 
 STOOD_SHARE, STOOD_STEP_M, STOOD_GAP_M = 0.9, 0.08, 0.6
 """Of the footprint's radius: what of it is sure to have been over the floor, for poses are not exact. The way between
-two scans is followed in such steps (a large robot's are a tenth of its radius), if it is no longer than the last."""
+two scans is followed in such steps, or in those that fit a smaller or a much larger robot, if it is no longer than
+the last."""
 
 STRIP = 512
 """Rows of the map that are read out at once."""
@@ -232,8 +233,11 @@ class _Sums(Fusion):
         """Note the floor on which the robot has stood, and over which it has come."""
         way = told.poses if self._last is None else np.concatenate([self._last[None], told.poses])
         self._last = told.poses[-1]
+        if told.radius <= 0:
+            return
         steps = np.hypot(*np.diff(way, axis=0).T)
-        step = max(STOOD_STEP_M, told.radius / 10)
+        # A small robot would leave gaps, a large one has many cells.
+        step = max(min(STOOD_STEP_M, told.radius / 2), told.radius / 10)
         parts = np.where(steps <= STOOD_GAP_M, np.ceil(steps / step), 1).astype(int)
         at = [
             a + (b - a) * (np.arange(1, n + 1) / n)[:, None]
