@@ -1,6 +1,7 @@
 """Rooms that no training run has seen, and drives in them under each simulator."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -22,6 +23,16 @@ SEED = 20_000_000
 """Of the rooms that changes are judged by. What is recorded has seeds of its own."""
 APART = {"leonard": leonard_ranges, "mujoco": mujoco_ranges}
 """Simulators that were written apart from what the network was trained on."""
+
+
+def robots() -> dict[str, Robot]:
+    """The array of the paper, the commonest one, and a plain ring."""
+    angle = np.deg2rad(np.arange(12) * 30.0)
+    mounts = np.column_stack([0.2 * np.cos(angle), 0.2 * np.sin(angle), angle])
+    ring = replace(
+        Robot.load("p3dx"), name="ring12", footprint_radius_m=0.22, min_range_m=0.1, max_range_m=4.0, mounts=mounts
+    )
+    return {"b21": Robot.load("b21"), "p3dx": Robot.load("p3dx"), "ring12": ring}
 
 
 def rooms(place: str, count: int, robot: Robot, seed: int) -> Iterator[tuple[World, Float[ndarray, "poses 3"]]]:

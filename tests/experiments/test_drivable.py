@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from echogrid import Grid, Robot, World
 from echogrid.simulation.world import ROUGH_M, SMOOTH_M, polyline
+from experiments.common.rooms import robots
 from experiments.studies.drivable import doors, measures, passes, swarm, walls
-from experiments.studies.drivable.study import passes_of, robots
+from experiments.studies.drivable.study import passes_of
 from experiments.studies.generalise.suite import DOOR_AT_M, placed
 
 CELL_M = 0.04

@@ -12,8 +12,9 @@ from echogrid.mapping.registry import sensor_model
 from echogrid.simulation.drive import along
 from experiments.common.pool import each
 from experiments.common.report import record
+from experiments.common.rooms import robots
 from experiments.studies.drivable.measures import body_claims, lane_m, under_body
-from experiments.studies.drivable.study import SEED, Study, passes_of, robots, share, tidy, told
+from experiments.studies.drivable.study import SEED, Study, passes_of, share, tidy, told
 from experiments.studies.generalise.study import label, show
 from experiments.studies.generalise.suite import DEPTHS_M, DOOR_AT_M, Suite, suite
 

@@ -9,8 +9,9 @@ from echogrid.simulation.drive import tour, truth_of
 from echogrid.simulation.world import world_names
 from experiments.common.pool import each
 from experiments.common.report import record
+from experiments.common.rooms import robots
 from experiments.studies.drivable.doors import KEPT_M
-from experiments.studies.drivable.study import Study, passes_of, robots, tidy, told
+from experiments.studies.drivable.study import Study, passes_of, tidy, told
 from experiments.studies.generalise.study import label, show
 
 PASSES = (1, 8, 30)

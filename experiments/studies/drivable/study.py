@@ -36,16 +36,6 @@ class Study:
         return {"models": [label(model) for model in self.models], "seed": SEED, **more}
 
 
-def robots() -> dict[str, Robot]:
-    """The array of the paper, the commonest one, and a plain ring."""
-    angle = np.deg2rad(np.arange(12) * 30.0)
-    mounts = np.column_stack([0.2 * np.cos(angle), 0.2 * np.sin(angle), angle])
-    ring = replace(
-        Robot.load("p3dx"), name="ring12", footprint_radius_m=0.22, min_range_m=0.1, max_range_m=4.0, mounts=mounts
-    )
-    return {"b21": Robot.load("b21"), "p3dx": Robot.load("p3dx"), "ring12": ring}
-
-
 def passes_of(
     world: World, robot: Robot, poses: Float[ndarray, "frames 3"], count: int, seed: int
 ) -> Iterator[list[Frame]]:

@@ -10,10 +10,10 @@ from echogrid import Grid, Robot, World
 from experiments.common.maps import mapped
 from experiments.common.pool import each
 from experiments.common.report import record
-from experiments.common.rooms import KINDS, frames, numbered
+from experiments.common.rooms import KINDS, frames, numbered, robots
 from experiments.studies.drivable.doors import SURFACES, way
 from experiments.studies.drivable.measures import phantoms, smear
-from experiments.studies.drivable.study import SEED, Study, robots, share, tidy, told
+from experiments.studies.drivable.study import SEED, Study, share, tidy, told
 from experiments.studies.generalise.study import label, show
 from experiments.studies.generalise.suite import ALONG_M, ENDS_M, faces, suite
 from experiments.studies.generalise.walls import OFFSETS_M, extent
