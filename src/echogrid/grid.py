@@ -11,7 +11,8 @@ from numpy import ndarray
 from echogrid.errors import UsageError
 
 P_MIN, P_MAX = 0.02, 0.98
-"""Read-out limits of a fused probability: no number of views makes a cell more certain than this."""
+"""Read-out limits of a fused probability: no number of views makes a cell more certain than this, unless the model
+that fuses them knows better (``Grid.p_min``)."""
 
 MAX_CELLS = 400_000_000
 """A map beyond this (1.6 GB of log-odds) is a broken pose, not a building."""
@@ -51,6 +52,8 @@ class Grid:
     """World x, y of the lower left corner of cell [0, 0], m."""
     views: Int[ndarray, "rows cols"] | None = None
     """Scans that spoke of each cell, where they were counted."""
+    p_min: float = P_MIN
+    """No cell is read out as more certain than this or 1 - this."""
 
     def __repr__(self) -> str:
         rows, cols = np.shape(self.log_odds)
@@ -65,8 +68,8 @@ class Grid:
         return rows, cols
 
     def probability(self) -> Float[ndarray, "rows cols"]:
-        """Occupancy probability of each cell, clamped to [P_MIN, P_MAX]; 0.5 where nothing is known."""
-        return np.clip(sigmoid(self.log_odds), P_MIN, P_MAX)
+        """Occupancy probability of each cell, clamped to [p_min, 1 - p_min]; 0.5 where nothing is known."""
+        return np.clip(sigmoid(self.log_odds), self.p_min, 1 - self.p_min)
 
     def index_of(self, p_world: Float[ndarray, "*n 2"]) -> Int[ndarray, "*n 2"]:
         """Cell ``[row, col]`` that holds each world point (m); it may lie outside the grid."""
@@ -112,7 +115,7 @@ class Grid:
             index.append(at + missing[-1][0])
             first.append(float(cells[0] * resolution) if cells.size else 0.0)
         if not all(len(each) for each in index):
-            return Grid(self.log_odds, self.observed, resolution, (first[1], first[0]), self.views)
+            return Grid(self.log_odds, self.observed, resolution, (first[1], first[0]), self.views, self.p_min)
 
         def taken(values: ndarray) -> ndarray:
             values = np.pad(values, missing)
@@ -121,7 +124,7 @@ class Grid:
             return np.maximum.reduceat(np.maximum.reduceat(values, index[0], axis=0), index[1], axis=1)
 
         views = None if self.views is None else taken(self.views)
-        return Grid(taken(self.log_odds), taken(self.observed), resolution, (first[1], first[0]), views)
+        return Grid(taken(self.log_odds), taken(self.observed), resolution, (first[1], first[0]), views, self.p_min)
 
     def part(self, first: Int[ndarray, "2"], shape: tuple[int, int]) -> "Grid":
         """A rectangle of cells, a copy without views; what lies outside of the grid is not observed.
@@ -138,7 +141,7 @@ class Grid:
         log_odds, observed = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool)
         log_odds[target], observed[target] = self.log_odds[source], self.observed[source]
         x, y = np.asarray(self.origin) + first[::-1] * self.resolution
-        return Grid(log_odds, observed, self.resolution, (float(x), float(y)))
+        return Grid(log_odds, observed, self.resolution, (float(x), float(y)), p_min=self.p_min)
 
     def observed_part(self) -> "Grid | None":
         """The smallest rectangle that holds all that was observed, as views of the arrays; None if nothing was."""
@@ -148,7 +151,7 @@ class Grid:
         x, y = self.origin
         origin = x + float(cols.start) * self.resolution, y + float(rows.start) * self.resolution
         views = None if self.views is None else self.views[rows, cols]
-        return Grid(self.log_odds[rows, cols], self.observed[rows, cols], self.resolution, origin, views)
+        return Grid(self.log_odds[rows, cols], self.observed[rows, cols], self.resolution, origin, views, self.p_min)
 
     def refined(self) -> "Grid":
         """The final refinement by a 3x3 neighbourhood mask of the paper's earlier system.
@@ -166,7 +169,7 @@ class Grid:
         filled = np.where(votes >= 3, np.maximum(self.log_odds, mean), self.log_odds)
         cleared = np.where((votes <= 1) & (self.log_odds > 0), 0.0, filled)
         log_odds = np.where(self.observed, cleared, self.log_odds).astype(np.float32)
-        return Grid(log_odds, self.observed, self.resolution, self.origin, self.views)
+        return Grid(log_odds, self.observed, self.resolution, self.origin, self.views, self.p_min)
 
 
 class UnreadGrid(Grid):
@@ -237,14 +240,15 @@ class GrowingGrid:
 
     _MARGIN = 64
 
-    def __init__(self, resolution: float, blank: Layers | None = None):
+    def __init__(self, resolution: float, blank: Layers | None = None, p_min: float = P_MIN):
         """An empty map.
 
         Args:
             resolution: side of a cell, m.
             blank: further layers: what each holds in a cell of which nobody has spoken, a number or a vector.
+            p_min: of the grids that are read out of it, see ``Grid``.
         """
-        self.resolution = resolution
+        self.resolution, self._p_min = resolution, p_min
         self._blank: Layers = {"log_odds": np.float32(0)[...], "observed": np.False_[...]} | (blank or {})
         self._first = np.zeros(2, dtype=np.int64)
         self._layers = self._blank_cells((0, 0))
@@ -389,4 +393,4 @@ class GrowingGrid:
         cells = self.layers()
         origin = self._low[::-1] * self.resolution if cells["log_odds"].size else np.zeros(2)
         x, y = (float(v) for v in origin)
-        return Grid(cells["log_odds"], cells["observed"], self.resolution, (x, y), cells.get("views"))
+        return Grid(cells["log_odds"], cells["observed"], self.resolution, (x, y), cells.get("views"), self._p_min)

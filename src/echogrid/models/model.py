@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from echogrid.errors import UsageError
 from echogrid.frame import Frame
-from echogrid.grid import GrowingGrid, Layers
+from echogrid.grid import P_MIN, GrowingGrid, Layers
 from echogrid.models.batches import apart, near_each_other
 from echogrid.robot import Robot
 
@@ -88,6 +88,8 @@ class Model(ABC):
 
     cell_m: ClassVar[float] = 0.12
     """Side (m) of the cells that its map has unless another is asked for."""
+    p_min: ClassVar[float] = P_MIN
+    """Least probability that its map is read out with; the greatest is 1 - this."""
 
     @property
     @abstractmethod

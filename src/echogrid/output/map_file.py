@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from echogrid.errors import InputError, UsageError
 from echogrid.files import made, replacing
-from echogrid.grid import MAX_CELLS, MAX_FILE_BYTES, P_MAX, P_MIN, Grid, logit
+from echogrid.grid import MAX_CELLS, MAX_FILE_BYTES, Grid, logit
 from echogrid.metrics import FREE, HIDDEN, SURFACE, Truth
 from echogrid.npz import open_npz
 from echogrid.output.map_picture import draw_map
@@ -28,6 +28,9 @@ from echogrid.output.map_server_file import (
     read_map_server,
 )
 from echogrid.yaml_keys import as_number
+
+P_LEAST = 0.001
+"""Of a map that is read: it was clipped when it was written, if it was by echogrid."""
 
 
 def write_map(
@@ -50,7 +53,7 @@ def write_map(
     - map.png: the map with the drive, for people; cut to what was observed.
     - map.npz: ``log_odds`` float32 and ``observed`` bool, both [row, col] with row 0 the lowest y,
       ``resolution`` (m) and ``origin`` (x, y of the lower left corner of cell [0, 0], m). The log-odds are
-      clipped to the read-out limits P_MIN and P_MAX, so that their plain sigmoid is the map that is scored.
+      clipped to the read-out limits (``Grid.p_min``), so that their plain sigmoid is the map that is scored.
     - run.yaml: ``echogrid_version``, then the settings.
 
     Args:
@@ -68,7 +71,7 @@ def write_map(
         raise UsageError("map: found no cells, expected at least one frame with a reading")
     if np.isnan(grid.log_odds).any():
         raise UsageError("map: found log-odds that are nan, expected numbers from the interpreter")
-    log_odds = np.clip(grid.log_odds, logit(P_MIN), logit(P_MAX)).astype(np.float32)
+    log_odds = np.clip(grid.log_odds, logit(grid.p_min), logit(1 - grid.p_min)).astype(np.float32)
     # Renamed from the last to the first when all are written; run.yaml, which speaks for the rest, is last.
     writers: dict[str, Callable[[Path], object]] = {
         "run.yaml": lambda new: new.write_text(_run_yaml(settings), encoding="utf-8"),
@@ -111,7 +114,7 @@ def read_map(path: str | Path) -> Grid:
             log_odds = log_odds.astype(np.float32)
         if not np.isfinite(log_odds).all():
             raise InputError(f"{path}: log_odds", "nan or infinity", "finite log-odds")
-        return Grid(log_odds, observed, *_read_place(arrays, path))
+        return Grid(log_odds, observed, *_read_place(arrays, path), p_min=P_LEAST)
 
 
 def write_truth(path: str | Path, truth: Truth) -> None:

@@ -69,6 +69,8 @@ class SetNetwork(Model):
 
     cell_m = 0.04
     """Fine enough that where a cell lies on a wall does not matter."""
+    p_min = 0.005
+    """It is calibrated: of cells of which it says 0.02 or less, about one in a thousand holds a surface."""
 
     def __repr__(self) -> str:
         values = [*self.weights.values(), *(self.around or {}).values()]
