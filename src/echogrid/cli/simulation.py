@@ -120,9 +120,9 @@ class Train:
     """The weights to write (.npz)."""
     network: Literal["set", "paper"] = "set"
     """The set network, which reads any array, or the paper's."""
-    drives: int = 6000
+    drives: int = 5000
     """Simulated drives to learn from."""
-    epochs: int = 24
+    epochs: int = 16
     """Times to go through them."""
     seed: int = 1
     """The same seed gives the same weights."""
