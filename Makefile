@@ -77,7 +77,7 @@ generalise: $(READY)  ## measure the set network on rooms, arrays and physics it
 drivable: $(READY)  ## measure whether maps can be driven on: doors, many passes, walls, flights (about 40 minutes)
 	$(BIN)/python -m experiments.studies.drivable
 
-weights: $(READY)  ## train the weights that ship (about 40 minutes on 2 cores)
+weights: $(READY)  ## train the weights that ship (about an hour and a half on 2 cores)
 	$(BIN)/echogrid train --robot any --out src/echogrid/weights/set.npz
 	$(BIN)/echogrid train --network paper --robot any --drives 6000 --epochs 24 --out src/echogrid/weights/any.npz
 
