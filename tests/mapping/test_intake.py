@@ -232,8 +232,8 @@ def test_numbers_of_other_kinds_are_taken_for_what_they_say():
     for other in (masked, lists, [replace(f, ranges=f.ranges.astype(np.float32)) for f in frames]):
         assert same(mapped(other).grid(), single)
         *_, built = build_map(other, B21, "set-network", CELL_M)
-        # Cells at the very edge of a view may fall to either side.
-        assert np.mean(~np.isclose(built.log_odds, single.log_odds, atol=2e-3)) < 1e-3
+        # Cells at the very edge of a view may fall to either side, and those round them are read with them.
+        assert np.mean(~np.isclose(built.log_odds, single.log_odds, atol=2e-3)) < 1e-2
         np.testing.assert_allclose(built.log_odds, single.log_odds, atol=0.05)
     np.testing.assert_allclose(single.log_odds, right.log_odds, atol=2e-3)
     pose, ranges = cast(Any, [0, 0, 0]), cast(Any, [2] * 24)

@@ -685,7 +685,7 @@ def test_the_cells_of_its_map_are_fine_whatever_is_asked_for(monkeypatch):
         assert (other.resolution, other.origin, other.shape) == (resolution, expected.origin, expected.shape)
         np.testing.assert_array_equal(other.log_odds, expected.log_odds)
     asked = []
-    monkeypatch.setattr(mapper, "GrowingGrid", lambda resolution, _: asked.append(resolution))
+    monkeypatch.setattr(mapper, "GrowingGrid", lambda resolution, *_: asked.append(resolution))
     for resolution in (None, COARSE_M):
         assert list(build_map([], ROBOT, plain_network(), resolution)) == []
         assert list(build_map([], ROBOT, "cone", resolution)) == []
