@@ -160,6 +160,16 @@ def test_a_correction_that_comes_seldom_and_by_jumps_holds_until_the_next(put):
     assert log.notes == {}
 
 
+@pytest.mark.parametrize("every", [1, 2, 5, 10])
+def test_a_correction_that_jumps_is_never_interpolated_and_told(put, every):
+    shifts = {i: np.array([5.0 * (i >= 30), 0.0, 0.0]) for i in range(0, len(LONG), every)}
+    jumping = [tf(time_of(LONG[i]), transform("map", "odom", by, time_of(LONG[i]))) for i, by in shifts.items()]
+    log = load_log(put([mounted(), *posed(LONG), *jumping, *ranged(LONG)]))
+    assert_same_frames(log, [*LONG[:30], *shifted(LONG[30:], shifts[30])])
+    (note,) = log.notes
+    assert re.match(r"the pose jumps by [45]\.\d\d m at ", note)
+
+
 def test_the_signs_of_rep_117_are_read(put):
     values = [inf, -inf, nan, 0.0, 0.1, 5.0, 4.999, 6.0, B21.min_range_m]
     meant = [inf, nan, nan, nan, nan, inf, 4.999, inf, B21.min_range_m]

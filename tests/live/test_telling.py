@@ -105,6 +105,18 @@ def test_a_pose_that_jumps_is_told_once_and_one_that_drives_is_not(drive):
     assert said[0].endswith("start echogrid live anew")
 
 
+@pytest.mark.parametrize("jump", [5.0, 0.0])
+def test_a_correction_that_jumps_is_told_and_one_that_creeps_is_not(drive, jump):
+    def corrected(t):
+        if round(10 * t) % 15 == 0:  # such as a localiser sends it
+            by = 0.01 * t + jump * (t > 10)
+            drive.take(Heard.TF, "/tf", tf(transform(START_S + t, "map", "odom", by, 0.0, 0.0)))
+        return 0.1 * t
+
+    said = play(drive, pose=corrected)
+    assert [notice.split(" at")[0] for notice in said] == ["the pose jumps by 5.03 m"] * bool(jump)
+
+
 def test_no_echo_sent_as_a_value_of_its_own_is_told_with_what_helps(drive):
     (said,) = play(drive, value=lambda v: 4.0 if v > 0.6 else v)
     assert said.startswith("the longest range, 4 m, comes ")

@@ -119,6 +119,24 @@ def test_after_a_jump_a_frame_does_not_go_on_with_it():
     assert pose(found, "a", "b", 11.0, reach=2.0)[0] == 50.0
 
 
+@given(st.floats(0.01, 5.0), st.floats(0.0, 0.999), st.floats(0.15, 50.0), st.floats(-3.0, 3.0))
+@few
+def test_a_correction_that_jumps_holds_until_the_next_and_the_drift_of_one_is_interpolated(gap, share, x, yaw):
+    """Of odom in map; how soon the next comes is nothing to it."""
+
+    def corrected(by, turn):
+        found = Transforms()
+        for stamp, to, at in ((0.0, 0.0, 0.0), (gap, by, turn), (gap + 10.0, by, turn)):
+            assert found.put("map", "odom", stamp, (to, 2 * to, 0.0), yawed(at)) is None
+        return found
+
+    for found, way in ((corrected(x, yaw), x), (corrected(0.0, 0.4), 0.0)):
+        np.testing.assert_array_equal(pose(found, "map", "odom", share * gap), np.zeros(3))
+        assert pose(found, "map", "odom", gap)[0] == pytest.approx(way)
+    drifting = pose(corrected(0.1, 0.3), "map", "odom", share * gap)
+    np.testing.assert_allclose(drifting, share * np.array([0.1, 0.2, 0.3]), atol=1e-9)
+
+
 def test_what_is_static_holds_at_all_times_and_the_last_word_counts():
     found = heard((10.0, 1.0, 0.0), (5.0, 2.0, 0.0), static=True)
     assert {pose(found, "a", "b", stamp)[0] for stamp in (-1e9, 0.0, 5.0, 10.0, 1e9)} == {2.0}

@@ -2,7 +2,7 @@
 
 Poses are composed in space and flattened last, so that a sensor mounted tilted or on a robot that rolls is placed
 where it is. Between two samples of an edge the translation is interpolated linearly and the heading on the shorter
-way, as tf2 does.
+way, as tf2 does; but a correction that jumps holds until the next.
 """
 
 import re
@@ -26,7 +26,8 @@ KEEP_S = 60.0
 """How long before its newest sample an edge is remembered."""
 
 JUMP_S, JUMP_M, JUMP_RAD = 2.0, 0.3, 0.35
-"""Over a gap longer than the first in which a frame moved by more than one of the others nothing is interpolated."""
+"""Over a gap longer than the first in which a frame moved by more than one of the others nothing is interpolated; over
+a jump of what is corrected, such as odom in map, never."""
 
 _SOON_S = 0.002
 
@@ -93,7 +94,8 @@ class _Edge:
             after -= 1  # what it did last it is taken to go on with
         start, end = stamps[after - 1], stamps[after]
         a, b = poses[after - 1], poses[after]
-        if end - start > JUMP_S and moved(planar(a), planar(b)):
+        # What corrects was never on the way of its jump, however soon it came.
+        if (self.corrects or end - start > JUMP_S) and moved(planar(a), planar(b)):
             return b if stamp > end else a if self.corrects else None
         return between(a, b, (stamp - start) / (end - start))
 
