@@ -297,26 +297,49 @@ def test_room_that_is_refused_leaves_the_map_as_it_was(begin):
     assert grown.grid().log_odds.sum() == (4 if begin else 0)
 
 
-def test_room_is_found_for_all_that_can_be_reserved_part_by_part():
+@pytest.mark.parametrize("seed", range(20))
+def test_room_is_found_for_all_that_can_be_reserved_part_by_part(monkeypatch, seed):
     """At the very edge of what a map may hold: what was checked as a whole is never refused in parts."""
-    side = int(MAX_CELLS**0.5)
+    side, rng = 1000, np.random.default_rng(seed)
+    monkeypatch.setattr("echogrid.grid.MAX_CELLS", side**2)
     refused = 0
-    for size in (side - 1000, side - 128, side - 100, side - 60, side - 1, side, side + 1):
-        grown = GrowingGrid(1.0)
-        low, high = np.zeros(2, np.int64), np.array([size, size])
-        try:
-            grown.check_room(low, high)
-        except UsageError:
-            refused += 1
-            continue
-        middle = np.array([size // 2, size // 2])
-        for part in ((middle, middle + 5), (low, low + 1), (high - 1, high)):
-            bounds = grown._bounds(*part)
-            grown._first, grown._layers = (
-                bounds[0],
-                {"log_odds": np.broadcast_to(np.float32(0), bounds[1] - bounds[0])},
-            )
-    assert 0 < refused < 7
+    for size in (side - 500, side - 300, side - 129, side - 128, side - 127, side - 60, side):
+        for begun in (False, True):
+            grown = GrowingGrid(1.0)
+            low, high = np.zeros(2, np.int64), np.array([size, size])
+            if begun:
+                grown.reserve(high // 2, high // 2 + 5)
+                grown.fuse(high // 2, np.ones((5, 5), np.float32), np.ones((5, 5), bool))
+            try:
+                grown.check_room(low, high)
+            except UsageError:
+                refused += 1
+                continue
+            for corner in (*rng.integers(0, size - 4, (8, 2)), low, high - 5):
+                grown.reserve(corner, corner + 5)
+                assert grown._layers["log_odds"].size <= side**2
+            assert grown.grid().shape == (size, size)
+            assert grown.grid().log_odds.sum() == 25 * begun
+    assert refused == 6
+
+
+@pytest.mark.parametrize("chosen", [True, False])
+def test_what_a_cell_holds_bounds_how_many_there_are(monkeypatch, chosen):
+    monkeypatch.setattr("echogrid.grid.MAX_BYTES", 45 * 1000**2)
+    last = np.array([800, 800])
+    GrowingGrid(0.1).check_room(0 * last, last)
+    GrowingGrid(0.1, {"more": np.zeros(10, np.float32)}).check_room(0 * last, last)
+    with pytest.raises(UsageError, match=r"at most 8e\+05 cells \(are the poses in mm or cm, ") as error:
+        GrowingGrid(0.1, {"more": np.zeros(12, np.float32)}, chosen=chosen).check_room(0 * last, last)
+    assert ("--resolution" in str(error.value)) == chosen
+
+
+def test_a_map_is_copied_seldom_while_it_grows():
+    grown, copies = GrowingGrid(0.1), set()
+    for step in range(0, 20_000, 10):
+        grown.reserve(np.array([0, step]), np.array([4, step + 10]))
+        copies.add(id(grown._layers["log_odds"].base) ^ grown._layers["log_odds"].shape[1])
+    assert len(copies) < 40
 
 
 FINE_CM = 4

@@ -17,6 +17,9 @@ that fuses them knows better (``Grid.p_min``)."""
 MAX_CELLS = 400_000_000
 """A map beyond this (1.6 GB of log-odds) is a broken pose, not a building."""
 
+MAX_BYTES = 4_000_000_000
+"""Likewise of a map that grows, over all that its cells hold."""
+
 MAX_FILE_BYTES = 10 * MAX_CELLS
 """No map or truth of MAX_CELLS cells needs more; a longer file is something else."""
 
@@ -240,16 +243,18 @@ class GrowingGrid:
 
     _MARGIN = 64
 
-    def __init__(self, resolution: float, blank: Layers | None = None, p_min: float = P_MIN):
+    def __init__(self, resolution: float, blank: Layers | None = None, p_min: float = P_MIN, chosen: bool = True):
         """An empty map.
 
         Args:
             resolution: side of a cell, m.
             blank: further layers: what each holds in a cell of which nobody has spoken, a number or a vector.
             p_min: of the grids that are read out of it, see ``Grid``.
+            chosen: whether the side of a cell could be another: what is told of a map too large depends on it.
         """
-        self.resolution, self._p_min = resolution, p_min
+        self.resolution, self._p_min, self._chosen = resolution, p_min, chosen
         self._blank: Layers = {"log_odds": np.float32(0)[...], "observed": np.False_[...]} | (blank or {})
+        self._cell_bytes = sum(value.nbytes for value in self._blank.values())
         self._first = np.zeros(2, dtype=np.int64)
         self._layers = self._blank_cells((0, 0))
         self._low = np.full(2, np.iinfo(np.int64).max)
@@ -269,7 +274,7 @@ class GrowingGrid:
         """Make room for the cells ``low <= [row, col] < high``, counted from the world's origin.
 
         Raises:
-            UsageError: the map would pass MAX_CELLS; it is as it was.
+            UsageError: the map would pass MAX_CELLS or MAX_BYTES; it is as it was.
         """
         first, last = self._bounds(low, high)
         size = self._layers["log_odds"].shape
@@ -277,34 +282,51 @@ class GrowingGrid:
             rows, cols = (int(n) for n in last - first)
             grown = self._blank_cells((rows, cols))
             if np.all(size):
-                old = tuple(slice(o, o + n) for o, n in zip(self._first - first, size, strict=True))
-                for name, layer in self._layers.items():
-                    grown[name][old] = layer
+                source, target = (
+                    tuple(slice(a, b) for a, b in zip(self._low - begin, self._high - begin, strict=True))
+                    for begin in (self._first, first)
+                )
+                for name in grown:
+                    # What was copied goes at once: the memory never holds both maps.
+                    grown[name][target] = self._layers.pop(name)[source]
             self._first, self._layers = first, grown
         self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
 
     def check_room(self, low: Int[ndarray, "2"], high: Int[ndarray, "2"]) -> None:
         """Raise what ``reserve`` of these cells, be it part by part, would raise; nothing is reserved."""
-        margin = 0 if self._layers["log_odds"].size else self._MARGIN
-        self._bounds(low - margin, high + margin)
+        self._bounds(low, high)
 
     def _bounds(self, low: Int[ndarray, "2"], high: Int[ndarray, "2"]) -> tuple[Int[ndarray, "2"], Int[ndarray, "2"]]:
         """First cell, and that behind the last, of a map that also holds ``low <= [row, col] < high``."""
-        size = self._layers["log_odds"].shape
-        if np.all(size):
-            first, last = self._first, self._first + size
-            first = np.where(low < first, low - self._MARGIN, first)
-            last = np.where(high > last, high + self._MARGIN, last)
-        else:
-            first, last = np.asarray(low), np.asarray(high)
-        rows, cols = (float(n) for n in last - first)
-        if rows * cols > MAX_CELLS:
-            span = (np.maximum(self._high, high) - np.minimum(self._low, low)) * self.resolution
+        first, last = self._first, self._first + self._layers["log_odds"].shape
+        if np.all(last > first) and np.all(low >= first) and np.all(high <= last):
+            return first, last
+        least, most = np.minimum(self._low, low), np.maximum(self._high, high)
+        # Who drives on has to copy the map the more seldom the larger it is, while there is room.
+        for share in (4, 16):
+            margin = np.maximum((most - least) // share, self._MARGIN)
+            begin = np.where(low < first, least - margin, first)
+            end = np.where(high > last, most + margin, last)
+            if np.all(last > first) and self._fits(begin, end):
+                return begin, end
+        # Nothing but what was asked for so far decides what is refused, whatever room was made for it.
+        begin, end = least - self._MARGIN, most + self._MARGIN
+        if not self._fits(begin, end):
+            span = (most - least) * self.resolution
+            remedy = "a coarser --resolution" if self._chosen else "cut the log in parts"
             raise UsageError(
-                f"map: found a drive that spans {span[1]:.6g} x {span[0]:.6g} m at {self.resolution} m a cell, "
-                f"expected at most {MAX_CELLS:.0e} cells (a broken pose, or a coarser --resolution is needed)"
+                f"map: found a drive that spans {span[1]:.6g} x {span[0]:.6g} m at {self.resolution} m a cell, expected "
+                f"at most {self._most:.1g} cells (are the poses in mm or cm, or is one broken? if neither, {remedy})"
             )
-        return first, last
+        return begin, end
+
+    @property
+    def _most(self) -> int:
+        return min(MAX_CELLS, MAX_BYTES // self._cell_bytes)
+
+    def _fits(self, first: Int[ndarray, "2"], last: Int[ndarray, "2"]) -> bool:
+        rows, cols = (float(n) for n in last - first)
+        return rows * cols <= self._most
 
     def window(self, corner: Int[ndarray, "2"], shape: tuple[int, int]) -> Layers:
         """The layers of a rectangle of cells, as views to read and to write.

@@ -26,8 +26,8 @@ KEEP_S = 60.0
 """How long before its newest sample an edge is remembered."""
 
 JUMP_S, JUMP_M, JUMP_RAD = 2.0, 0.3, 0.35
-"""Over a gap longer than the first in which a frame moved by more than one of the others nothing is interpolated; over
-a jump of what is corrected, such as odom in map, never."""
+"""Over a gap longer than the first in which a frame moved by more than one of the others nothing is interpolated, nor
+over any gap if the frame is one that is corrected, such as odom in map."""
 
 _SOON_S = 0.002
 
