@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from echogrid.errors import UsageError
-from echogrid.grid import MAX_CELLS, P_MAX, P_MIN, Grid, GrowingGrid, UnreadGrid, covered, logit, sigmoid, span
+from echogrid.grid import P_MAX, P_MIN, Grid, GrowingGrid, UnreadGrid, covered, logit, sigmoid, span
 
 resolutions = st.sampled_from([0.05, 0.1, 0.12, 0.25, 1.0])
 origins = st.tuples(st.floats(-50, 50), st.floats(-50, 50))

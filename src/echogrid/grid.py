@@ -315,8 +315,9 @@ class GrowingGrid:
             span = (most - least) * self.resolution
             remedy = "a coarser --resolution" if self._chosen else "cut the log in parts"
             raise UsageError(
-                f"map: found a drive that spans {span[1]:.6g} x {span[0]:.6g} m at {self.resolution} m a cell, expected "
-                f"at most {self._most:.1g} cells (are the poses in mm or cm, or is one broken? if neither, {remedy})"
+                f"map: found a drive that spans {span[1]:.6g} x {span[0]:.6g} m at {self.resolution} m a cell, "
+                f"expected at most {self._most:.1g} cells (are the poses in mm or cm, "
+                f"or is one broken? if neither, {remedy})"
             )
         return begin, end
 
