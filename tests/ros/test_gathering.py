@@ -260,7 +260,23 @@ def test_a_scan_waits_for_its_pose():
     assert [frame.stamp for frame in gathered.frames()] == [0.0, 0.1]
     assert gathered.pending == 2
     assert [frame.stamp for frame in gathered.frames(reach=0.1, final=True)] == [0.2]
-    assert gathered.dropped == {NO_POSE: 1}
+    assert gathered.dropped == {}  # 0.15 s after the last pose
+
+
+@given(st.floats(-3.0, 3.0))
+@few
+def test_scans_without_a_pose_are_counted_but_for_those_just_outside_of_all_poses(outside):
+    transforms = Transforms()
+    for stamp in (10.0, 11.0, 14.0, 15.0):  # from 11 to 14 s nobody knows
+        transforms.put("odom", "base", stamp, (stamp, 0, 0), FLAT)
+    gathered = Scans(robot(1), transforms, "odom", "base")
+    at = 10.0 + outside if outside < 0 else 15.0 + outside
+    stamps = sorted({10.5, 11.05, 12.0, 13.95, 14.5, at})
+    for stamp in stamps:
+        gathered.add(0, stamp, 1.0)
+    placed = len(list(gathered.frames(final=True)))
+    assert placed == 2 + (at in (10.0, 15.0))
+    assert gathered.dropped[NO_POSE] == 3 + (at < 9.5 or at > 15.5)
 
 
 def test_a_scan_from_before_the_first_pose_is_left_out_at_once():

@@ -40,6 +40,9 @@ PAUSE_S = 30.0
 SAME_M, SAME_RAD = 0.002, radians(0.2)
 """A sonar that moved less between its firing and the frame's pose has not moved."""
 
+ENDS_S = 0.5
+"""A scan that lies no farther outside of all poses has none because the one began to be heard before the other."""
+
 _AT_ONCE_S = 1e-3
 """Readings no farther apart in time are of one pose."""
 
@@ -63,7 +66,7 @@ class Scans:
         """
         self.robot, self.fixed, self.base = robot, fixed, base
         self.dropped: Counter[str] = Counter()
-        """How many readings or scans were left out, by reason."""
+        """How many readings or scans were left out, by reason; but for scans at the ends of the drive, see ENDS_S."""
         self._transforms = transforms
         self._gathering: dict[int, tuple[float, float]] = {}
         self._first = self._last = -inf
@@ -161,7 +164,7 @@ class Scans:
                     frame = self._frame(scan, reach, hold=True)
                 if frame is None and not final and (known is None or known[1] < end) and waited < PAUSE_S:
                     return  # its pose may still come
-                if frame is None:
+                if frame is None and not _at_the_ends(scan, known):
                     self.dropped[NO_POSE] += 1
             if frame is not None:
                 yield frame
@@ -208,3 +211,9 @@ class Scans:
             cos, sin = np.cos(turn), np.sin(turn)
             mounts[number] = x + cos * mx - sin * my, y + sin * mx + cos * my, axis + turn
         return mounts
+
+
+def _at_the_ends(scan: dict[int, tuple[float, float]], known: tuple[float, float] | None) -> bool:
+    """Whether a scan begins shortly before the first pose or ends shortly after the last."""
+    stamps = [stamp for stamp, _ in scan.values()]
+    return known is not None and (0 < known[0] - min(stamps) <= ENDS_S or 0 < max(stamps) - known[1] <= ENDS_S)
