@@ -21,7 +21,7 @@ from echogrid.robot import Robot
 from echogrid.training.gradient_descent import Recipe, descend
 from echogrid.training.map_lessons import BEHIND, DEEP, FREE, MapLessons, map_lessons
 
-WEIGHTS = {SURFACE: 5.0, FREE: 1.0, BEHIND: 0.7, DEEP: 0.3}
+WEIGHTS = {SURFACE: 3.5, FREE: 1.0, BEHIND: 1.0, DEEP: 0.3}
 """Of a cell in the loss, by its label. A wall that is missed costs more than floor that is; hidden cells are to stay
 at 0.5, which no error of others is worth."""
 
