@@ -17,7 +17,10 @@ import echogrid
 PACKAGE = Path(echogrid.__file__).parent
 PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "when-a-map-looks-wrong.md"
 
-ABOUT_LOGS = ("doubts.py", "frame.py", "packed.py", "logs/*.py", "bags/*.py", "ros/*.py", "mapping/intake.py")
+ABOUT_LOGS = (
+    *("doubts.py", "stillness.py", "frame.py", "packed.py", "mapping/intake.py"),
+    *("logs/*.py", "bags/*.py", "ros/*.py"),
+)
 ABOUT_LIVE = ("live/*.py",)
 LIVE = "## Live besides"
 

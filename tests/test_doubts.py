@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy import inf, nan
 
@@ -198,3 +198,77 @@ def test_every_doubt_is_on_the_page_about_maps_that_look_wrong():
         (told,) = notes(stamps, faulty_poses, faulty_ranges)
         words = [re.escape(word) for word in re.split(r"[\d.]+(?:e\+?\d+)?", told.split(":")[0]) if len(word) > 6]
         assert any(re.search(word, page) for word in words), told
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 1000), st.integers(8, 16), st.integers(0, 150), st.sampled_from([7, 64, 400]))
+def test_sonars_that_repeat_one_value_while_the_robot_drives_are_told(seed, many, since, part):
+    stamps, poses, ranges = drive(seed=seed)
+    poses[:, :2] *= 3  # far enough for all seeds
+    which = np.random.default_rng(seed).permutation(P3DX.sonars)[:many]
+    ranges[since:, which] = np.linspace(1.0, 3.0, many)
+    (told,) = notes(stamps, poses, ranges, part=part)
+    assert told.startswith(f"{f'{many} of 16' if many < 16 else 'all 16'} sonars repeat one value to the last bit")
+    (when,) = re.findall(r"since ([\d.]+) s while", told)
+    assert float(when) - stamps[since] == pytest.approx(0.05, abs=0.07)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 1000), st.integers(1, 7), st.sampled_from([1, 64]))
+def test_fewer_sonars_or_sonars_of_a_robot_that_stands_or_passes_a_wall_may_repeat_a_value(seed, few, part):
+    stamps, poses, ranges = drive(seed=seed)
+    ranges[:, :few] = 1.5
+    assert notes(stamps, poses, ranges, part=part) == {}
+    walls = np.linspace(1.0, 3.0, 16) * np.ones((400, 1))
+    assert notes(stamps, 0 * poses, walls, part=part) == {}
+    walls[:, 0] = 0.5 + 0.01 * np.arange(400)
+    along = np.column_stack([0.02 * np.arange(400), np.zeros(400), np.pi * (-1.0) ** np.arange(400)])
+    assert notes(stamps, along, walls, part=part) == {}
+
+
+def test_sonars_that_fire_in_turn_and_repeat_one_value_are_told():
+    stamps, poses, ranges = drive(2000)
+    turns = np.arange(2000)[:, None] % 4 == np.arange(16) % 4
+    assert notes(stamps, poses, np.where(turns, ranges, nan)) == {}
+    (told,) = notes(stamps, poses, np.where(turns, np.linspace(1.0, 3.0, 16), nan))
+    assert told.startswith("all 16 sonars repeat one value")
+
+
+def passing_a_room(frames, seed):
+    """Ranges in a box of 6 by 4 m along a drive through it, with noise."""
+    rng = np.random.default_rng(seed)
+    turn = np.linspace(0, 6, frames) + rng.uniform(0, 6)
+    x, y = 2.0 * np.cos(turn), 1.2 * np.sin(turn)
+    axes = turn[:, None] + np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    far = np.minimum(
+        (3 - np.sign(np.cos(axes)) * x[:, None]) / np.abs(np.cos(axes)),
+        (2 - np.sign(np.sin(axes)) * y[:, None]) / np.abs(np.sin(axes)),
+    )
+    return np.column_stack([x, y, turn + np.pi / 2]), far + rng.normal(0, 0.02, far.shape)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 1000), st.integers(0, 150), st.sampled_from([7, 64, 400]))
+def test_odometry_that_dies_while_the_robot_drives_is_told_with_its_times(seed, at, part):
+    poses, ranges = passing_a_room(400, seed)
+    stamps = 0.1 * np.arange(400)
+    assert notes(stamps, poses, ranges, part=part) == {}
+    poses[at : at + 200] = poses[at]
+    (told,) = (each for each in notes(stamps, poses, ranges, part=part) if "jumps" not in each)
+    assert told.startswith(
+        f"the pose stays exactly the same from {stamps[at]:.2f} to {stamps[at + 199]:.2f} s while most sonars hear"
+    )
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 1000), st.floats(0.0, 0.1), st.sampled_from([7, 64]))
+def test_a_robot_that_stands_among_people_is_not_doubted(seed, noise, part):
+    rng = np.random.default_rng(seed)
+    stamps, (poses, ranges) = 0.1 * np.arange(400), passing_a_room(400, seed)
+    ranges = ranges[0] + rng.normal(0, noise, ranges.shape)
+    for _ in range(40):  # people who come and go
+        first, sonar, stay = rng.integers(0, 380), rng.integers(0, 15), rng.integers(5, 60)
+        there = rng.uniform(0.4, 1.5) + 0.02 * np.arange(stay)[:, None]
+        part_of = ranges[first : first + stay, sonar : sonar + 2]
+        part_of[:] = np.minimum(part_of, there[: len(part_of)])
+    assert notes(stamps, np.tile(poses[0], (400, 1)), np.maximum(ranges, 0.2), part=part) == {}

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from numpy import inf, nan, ndarray
 
 from echogrid.robot import Robot
+from echogrid.stillness import Stillness
 
 FASTEST_M_S, FASTEST_RAD_S = 10.0, 10.0
 """No robot that maps with sonars drives or turns faster."""
@@ -145,6 +146,7 @@ class Judge:
         self._longest, self._at_longest, self._sonars_at = -inf, 0, np.zeros(0, dtype=bool)
         self._places_at = np.array([inf, inf, -inf, -inf])
         self._farthest = 0.0
+        self._still = Stillness()
         self._along: dict[str, complex] = dict.fromkeys(("radians", *_DEGREES), 0j)
         self._driven = 0
 
@@ -168,6 +170,7 @@ class Judge:
             rows, ranges = rows[kept], ranges[kept]
         if not len(rows):
             return
+        self._still.see(rows, ranges)
         self._batches += 1
         whole = self._frames < _WHOLE or self._batches % _EVERY == 0 or not self.echoes
         self._frames += len(rows)
@@ -247,7 +250,7 @@ class Judge:
     def notes(self) -> dict[str, int]:
         """What is doubtful: a line each, and how often; 0 where that says nothing."""
         self._see_waiting()
-        return self._of_ranges() | self._of_poses()
+        return self._of_ranges() | self._of_poses() | self._of_stillness()
 
     def _of_ranges(self) -> dict[str, int]:
         notes: dict[str, int] = {}
@@ -272,6 +275,24 @@ class Judge:
             value, often = f"{self._longest:g}", f"comes {self._at_longest} times exactly, from most sonars"
             remedy = f"if that is how the sensor says no echo, map with a robot file whose max_range_m is {value}"
             notes[f"the longest range, {value} m, {often}: {remedy}"] = 0
+        return notes
+
+    def _of_stillness(self) -> dict[str, int]:
+        notes: dict[str, int] = {}
+        still = self._still
+        low, high = (self._robot.min_range_m, self._robot.max_range_m) if self._robot else (0.0, inf)
+        if found := still.stuck(low, self._longest - _SAME_M if self._longest_repeats() else high):
+            array, first = self._sonars_at.size, found.sonars[0]
+            which = f"{len(found.sonars)} of {array}" if len(found.sonars) < array else f"all {array}"
+            what = f"{which} sonars repeat one value to the last bit (r{first} {found.value:g} m)"
+            when = f"{_span(found.since, found.till, still.last)} while the robot drives"
+            notes[f"{what} {when}: has their driver died? cut that out of the log, and start it anew"] = 0
+        still.end()
+        if still.dead is not None:
+            again = f", and {still.dead_again} times more," if still.dead_again else ""
+            what = f"the pose stays exactly the same {_span(*still.dead, still.last)}{again}"
+            cause = "while most sonars hear the robot move: has the odometry died?"
+            notes[f"{what} {cause} cut that out of the log"] = 0
         return notes
 
     def _longest_repeats(self) -> bool:
@@ -312,3 +333,8 @@ class Judge:
             share = f"{motion.turned / motion.judged:.0%} of the steps turn faster than {FASTEST_RAD_S:g} rad/s"
             return {f"{share}: is theta in degrees? it has to be in radians": 0}
         return {}
+
+
+def _span(since: float, till: float, end: float) -> str:
+    """From when to when (s), in a log that ends then; what goes on has no end yet."""
+    return f"since {since:.2f} s" if till >= end else f"from {since:.2f} to {till:.2f} s"
