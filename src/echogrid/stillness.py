@@ -72,7 +72,7 @@ class Stillness:
     def _see_repeats(self, rows: ndarray, ranges: ndarray) -> None:
         last = ranges[-1]
         repeats = ((ranges[0] == last) | (ranges[-2:][0] == last)) & (last < inf)
-        if not repeats.any() and not np.isnan(ranges[0] + last).any():
+        if not repeats.any() and not (np.isnan(ranges[0]) | np.isnan(last)).any():
             # As nearly always where every sonar fires each time: no echo repeats through to the last.
             if self._count.any():
                 self._count[:], self._low[:], self._high[:] = 0, inf, -inf

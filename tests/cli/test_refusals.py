@@ -65,7 +65,7 @@ def test_a_folder_that_cannot_be_made_is_found_before_the_mapping(run, place, mo
 def test_a_pose_that_jumps_away_is_one_line(run, place):
     put(place / "drive.csv", rows(GOOD, *["1,9e6,9e6,0,1,1"] * 21))
     err = assert_refused(run, place, "map", "drive.csv", "--robot", "duo.yaml", "--out", "out")
-    assert "broken pose" in err
+    assert "are the poses in mm or cm, or is one broken?" in err
 
 
 BAD_ROBOTS = {
