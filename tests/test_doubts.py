@@ -272,3 +272,23 @@ def test_a_robot_that_stands_among_people_is_not_doubted(seed, noise, part):
         part_of = ranges[first : first + stay, sonar : sonar + 2]
         part_of[:] = np.minimum(part_of, there[: len(part_of)])
     assert notes(stamps, np.tile(poses[0], (400, 1)), np.maximum(ranges, 0.2), part=part) == {}
+
+
+@given(st.integers(1, 1990), st.floats(70, 180), st.sampled_from([-1, 1]), st.sampled_from([7, 64, 400]))
+@settings(max_examples=30)
+def test_a_heading_that_jumps_is_told_with_its_time(at, degrees, side, part):
+    stamps, poses, ranges = drive(2000)
+    poses[:, 2] = 0.5
+    poses[at:, 2] += side * np.deg2rad(degrees)
+    (told,) = notes(stamps, poses, ranges, part=part)
+    assert told.startswith(f"the heading jumps by {degrees:.0f} degrees at {stamps[at]:.2f} s, ")
+
+
+@pytest.mark.parametrize("rad_s", [0.5, 2.0, 5.0])
+def test_a_robot_that_turns_on_the_spot_is_not_doubted(rad_s):
+    stamps, poses, ranges = drive()
+    poses[100:200, :2] = poses[100, :2]
+    poses[200:, :2] += poses[100, :2] - poses[200, :2]
+    poses[100:200, 2] = poses[100, 2] + rad_s * 0.1 * np.arange(100)
+    poses[200:, 2] += poses[199, 2] - poses[200, 2]
+    assert notes(stamps, poses, ranges) == {}

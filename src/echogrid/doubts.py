@@ -16,6 +16,9 @@ from echogrid.stillness import Stillness
 FASTEST_M_S, FASTEST_RAD_S = 10.0, 10.0
 """No robot that maps with sonars drives or turns faster."""
 
+SPUN_RAD_S = 6.0
+"""A single step that turns faster is a jump of the heading."""
+
 JUMP_M, JUMP_RAD = 0.5, 0.8
 """A step is no jump of the pose if it is shorter: where stamps are coarse the speed says little."""
 
@@ -68,6 +71,10 @@ class Motion:
     """Stamp (s) and length (m) of the first jump."""
     longest_m: float = 0.0
     """Of all jumps."""
+    spun: int = 0
+    """Steps in which the heading jumped, though the place did not."""
+    first_turn: tuple[float, float] = (nan, 0.0)
+    """Stamp (s) and turn (rad) of the first of them."""
 
 
 class Whereabouts:
@@ -224,6 +231,7 @@ class Judge:
         found = speeds(track, turns=whole)
         self.motion.steps += len(found.way)
         self._count_jumps(track[1:, 0], found.way, found.far)
+        self._count_turns(track, found.far)
         if not whole or found.far.all():
             return
         motion, on = self.motion, ~found.far
@@ -237,6 +245,18 @@ class Judge:
         for unit, scale in (("radians", 1.0), *_DEGREES.items()):
             # Twice the angle, for a robot may drive backwards.
             self._along[unit] += complex(np.sum(np.exp(2j * (bearing - scale * heading))))
+
+    def _count_turns(self, track: Float[ndarray, "poses 4"], far: Bool[ndarray, "steps"]) -> None:
+        """Headings that jump where the place does not."""
+        took, turn = track[1:, 0] - track[:-1, 0], track[1:, 3] - track[:-1, 3]
+        turn = np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
+        spun = (turn > np.maximum(SPUN_RAD_S * took, JUMP_RAD)) & ~far
+        if not spun.any():
+            return
+        if not self.motion.spun:
+            at = int(np.argmax(spun))
+            self.motion.first_turn = float(track[at + 1, 0]), float(turn[at])
+        self.motion.spun += int(np.count_nonzero(spun))
 
     def _count_jumps(self, stamps: ndarray, way: ndarray, far: Bool[ndarray, "steps"]) -> None:
         if not far.any():
@@ -332,6 +352,12 @@ class Judge:
         if motion.turned > OFTEN * motion.judged and motion.judged >= LEAST_STEPS and not fast:
             share = f"{motion.turned / motion.judged:.0%} of the steps turn faster than {FASTEST_RAD_S:g} rad/s"
             return {f"{share}: is theta in degrees? it has to be in radians": 0}
+        if 0 < motion.spun <= OFTEN * motion.steps and not fast:
+            stamp, turn = motion.first_turn
+            more = f" and {motion.spun - 1} times more" if motion.spun > 1 else ""
+            what = f"the heading jumps by {np.rad2deg(turn):.0f} degrees at {stamp:.2f} s{more}"
+            why = "more than any robot turns in a step: was the odometry reset? cut the log in two at that time"
+            return {f"{what}, {why}": 0}
         return {}
 
 

@@ -15,7 +15,7 @@ LEAST_MAX_M, MOST_MIN_M, NO_LIMIT_M = 0.1, 1.0, 1e5
 
 _REMEDIES = {
     r"cut that out of the log\b(, and start it anew)?": "start it anew",
-    r"cut the log there in two": "start echogrid live anew",
+    r"cut the log there in two|cut the log in two at that time": "start echogrid live anew",
     r"map with a robot file whose max_range_m is (\S+)": r"let its driver send max_range \1, or +inf",
 }
 
