@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import inf, nan, ndarray
 
+from echogrid.geometry import wrap
 from echogrid.robot import Robot
 from echogrid.stillness import Stillness
 
@@ -130,7 +131,7 @@ def speeds(track: Float[ndarray, "poses 4"], turns: bool = True) -> Speeds:
     far = way > np.maximum(FASTEST_M_S * took, JUMP_M)
     if not turns or far.all():
         return Speeds(way, far, np.zeros(len(way), dtype=bool), nan, nan)
-    turn = np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
+    turn = np.abs(wrap(turn))
     slow = np.maximum(took[~far], _LEAST_S)
     fastest = float(np.max(way[~far] / slow)), float(np.max(turn[~far] / slow))
     return Speeds(way, far, turn > np.maximum(FASTEST_RAD_S * took, JUMP_RAD), *fastest)
@@ -248,8 +249,7 @@ class Judge:
 
     def _count_turns(self, track: Float[ndarray, "poses 4"], far: Bool[ndarray, "steps"]) -> None:
         """Headings that jump where the place does not."""
-        took, turn = track[1:, 0] - track[:-1, 0], track[1:, 3] - track[:-1, 3]
-        turn = np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
+        took, turn = track[1:, 0] - track[:-1, 0], np.abs(wrap(track[1:, 3] - track[:-1, 3]))
         spun = (turn > np.maximum(SPUN_RAD_S * took, JUMP_RAD)) & ~far
         if not spun.any():
             return

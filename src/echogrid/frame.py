@@ -126,7 +126,7 @@ def _judged(frames: Iterable[Frame], judge: Judge, notes: dict[str, int]) -> Ite
         if not batch and error is None:
             break
         if batch:
-            _show(judge, batch)
+            show_to(judge, batch)
             yield from batch
     if error is not None:
         raise error
@@ -140,12 +140,13 @@ def passing(frames: Iterable[Frame], judge: Judge) -> Iterator[Frame]:
         batch.append(frame)
         yield frame
         if len(batch) == _BATCH:
-            _show(judge, batch)
+            show_to(judge, batch)
             batch = []
     if batch:
-        _show(judge, batch)
+        show_to(judge, batch)
 
 
-def _show(judge: Judge, batch: Iterable[Frame]) -> None:
+def show_to(judge: Judge, batch: Iterable[Frame]) -> None:
+    """Have frames, of which there is at least one, seen by a judge."""
     columns = zip(*((frame.stamp, frame.pose, frame.ranges) for frame in batch), strict=True)
     judge.see(*(np.array(column, dtype=float) for column in columns))

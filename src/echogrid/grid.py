@@ -401,12 +401,11 @@ class GrowingGrid:
             corner: its first cell [row, col], counted from the world's origin.
             shape: its rows and columns.
         """
-        begin = self._low if self._layers["log_odds"].size else np.zeros(2, dtype=np.int64)
-        return self.grid().part(corner - begin, shape)
+        return self.grid().part(corner - self.reserved()[0], shape)
 
     def layers(self) -> Layers:
         """All layers of the part of the map that has been reserved so far, as views to read and to write."""
-        return self.window(*self.reserved()) if self._layers["log_odds"].size else self._layers
+        return self.window(*self.reserved())
 
     def grid(self) -> Grid:
         """The part of the map that has been reserved so far, as views of the arrays (not copies).
@@ -414,6 +413,5 @@ class GrowingGrid:
         A layer named ``views`` is that of the grid.
         """
         cells = self.layers()
-        origin = self._low[::-1] * self.resolution if cells["log_odds"].size else np.zeros(2)
-        x, y = (float(v) for v in origin)
+        x, y = (float(v) for v in self.reserved()[0][::-1] * self.resolution)
         return Grid(cells["log_odds"], cells["observed"], self.resolution, (x, y), cells.get("views"), self._p_min)

@@ -6,14 +6,14 @@ from hypothesis import strategies as st
 from echogrid.frame import Frame
 from echogrid.grid import Grid
 from echogrid.mapping.build import build_map
-from echogrid.metrics import HIDDEN, SURFACE, Truth, score
+from echogrid.metrics import FREE, HIDDEN, SURFACE, Truth, score
 from echogrid.models.networks import surroundings
 from echogrid.models.networks.set_layers import LOOKS, initial
 from echogrid.models.networks.set_network import SetNetwork
 from echogrid.robot import Robot
 from echogrid.training import drives
 from echogrid.training import map_lessons as making
-from echogrid.training.map_lessons import BEHIND, BEHIND_M, DEEP, FREE, NOTHING, SIDE, labels, map_lessons
+from echogrid.training.map_lessons import BEHIND, BEHIND_M, DEEP, NOTHING, SIDE, labels, map_lessons
 
 P3DX = Robot.load("p3dx")
 CELL_M = SetNetwork.cell_m

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from echogrid.mapping.registry import sensor_model
+from echogrid.metrics import FREE, SURFACE
 from echogrid.models.networks import surroundings
 from echogrid.models.networks.memory import TRAITS
 from echogrid.models.networks.set_layers import initial
@@ -11,7 +12,7 @@ from echogrid.models.networks.set_network import SetNetwork
 from echogrid.training import gradient_descent as descent
 from echogrid.training import map_training, set_training
 from echogrid.training.gradient_descent import train
-from echogrid.training.map_lessons import BEHIND, DEEP, FREE, NOTHING, SURFACE, MapLessons
+from echogrid.training.map_lessons import BEHIND, DEEP, NOTHING, MapLessons
 from echogrid.training.map_training import RIM, WEIGHTS, MapRecipe, map_loss
 from echogrid.training.set_lessons import Lessons
 from echogrid.training.set_training import MAPS_SHARE, SetRecipe

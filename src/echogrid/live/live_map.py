@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from echogrid.doubts import Judge, Whereabouts
 from echogrid.errors import InputError, UsageError
-from echogrid.frame import Frame
+from echogrid.frame import Frame, show_to
 from echogrid.grid import Grid
 from echogrid.live.sonar_array import SonarArray
 from echogrid.live.telling import in_live
@@ -177,8 +177,7 @@ class LiveMap:
     def _see(self) -> None:
         """Have scans judged."""
         if self._unjudged:
-            columns = zip(*((frame.stamp, frame.pose, frame.ranges) for frame in self._unjudged), strict=True)
-            self._judge.see(*(np.array(column, dtype=float) for column in columns))
+            show_to(self._judge, self._unjudged)
             self._unjudged.clear()
 
     def notes(self) -> dict[str, int]:

@@ -18,10 +18,8 @@ from echogrid.models.networks.set_network import SUMS, SetNetwork
 from echogrid.models.networks.surroundings import PACK
 from echogrid.robot import Robot
 from echogrid.simulation.drive import truth_of
-from echogrid.simulation.simulate import disturb, passers_by
-from echogrid.training import set_lessons
 from echogrid.training.drives import Driven, simulated
-from echogrid.training.set_lessons import IN_TURN_SHARE, LARGE_SHARE, MOST_SONARS, PEOPLE_SHARE
+from echogrid.training.set_lessons import MOST_SONARS, disturbed, drives_of, most_sonars, out_of_turn
 
 FRAMES = 160
 """Frames of a drive; a map is made of some or all of them."""
@@ -35,8 +33,8 @@ SIDE = 128
 BEHIND_M = 0.5
 """Hidden cells nearer to a surface than this are told apart from those farther off."""
 
-FREE, BEHIND, DEEP, NOTHING = 0, 2, 3, 4
-"""Labels beside SURFACE: free, hidden near a surface, hidden farther off, and what is not to be judged."""
+BEHIND, DEEP, NOTHING = 2, 3, 4
+"""Labels beside SURFACE and FREE: hidden near a surface, hidden farther off, and what is not to be judged."""
 
 
 class MapLessons(NamedTuple):
@@ -47,10 +45,10 @@ class MapLessons(NamedTuple):
     array: Float[ndarray | Array, "drives told"]
     """Of the robot's sonars, see ``surroundings.told_of``."""
     label: Integer[ndarray | Array, "drives side side"]
-    """What is there, see FREE."""
+    """What is there, see BEHIND."""
 
 
-KIND = set_lessons.drives_of(FRAMES)
+KIND = drives_of(FRAMES)
 """The drives."""
 
 
@@ -59,9 +57,6 @@ def map_lessons(
 ) -> MapLessons:
     """Lessons from the maps that a network makes of simulated drives; arguments as for ``simulated``."""
 
-    def most_sonars(rng: np.random.Generator) -> int:
-        return MOST_SONARS[int(rng.random() < LARGE_SHARE)]
-
     def learn(rng: np.random.Generator, driven: Driven) -> MapLessons:
         return _lesson(network, rng, driven)
 
@@ -69,13 +64,10 @@ def map_lessons(
 
 
 def _lesson(network: SetNetwork, rng: np.random.Generator, driven: Driven) -> MapLessons:
-    d, ranges = driven.drive, driven.ranges
-    if rng.random() < PEOPLE_SHARE:
-        ranges = passers_by(ranges, driven.sonars, rng)
-    heard = d.robot.clean(disturb(ranges, driven.physics, d.robot.max_range_m, rng))
-    if rng.random() < IN_TURN_SHARE:
-        groups = rng.choice([2, 3, 4, 8])
-        heard[(np.arange(FRAMES)[:, None] - np.arange(d.robot.sonars)) % groups != 0] = np.nan
+    d, heard = driven.drive, disturbed(rng, driven)
+    silent = out_of_turn(rng, FRAMES, d.robot.sonars)
+    if silent is not None:
+        heard[silent] = np.nan
     elif rng.random() < 0.25:
         heard[rng.random(heard.shape) < rng.uniform(0, 0.6)] = np.nan
     count = int(rng.choice([FRAMES, rng.integers(LEAST_FRAMES, FRAMES)]))
@@ -111,7 +103,7 @@ def _mapped(network: SetNetwork, robot: Robot, poses: ndarray, ranges: ndarray):
 
 
 def labels(truth: Truth, corner: Integer[ndarray, "2"], cell_m: float) -> Integer[ndarray, "side side"]:
-    """What is at the middles of the cells of a square, see FREE; as ``score`` reads a map."""
+    """What is at the middles of the cells of a square, see BEHIND; as ``score`` reads a map."""
     gap = distance_transform_edt(truth.cells != SURFACE) * truth.resolution
     kinds = np.where(truth.cells == HIDDEN, np.where(gap < BEHIND_M, BEHIND, DEEP), truth.cells).astype(np.int8)
     if not np.any(truth.cells == SURFACE):

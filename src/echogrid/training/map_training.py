@@ -14,12 +14,12 @@ import optax
 from jaxtyping import Array
 from numpy import ndarray
 
-from echogrid.metrics import SURFACE
+from echogrid.metrics import FREE, SURFACE
 from echogrid.models.networks import surroundings
 from echogrid.models.networks.set_network import SetNetwork
 from echogrid.robot import Robot
 from echogrid.training.gradient_descent import Recipe, descend
-from echogrid.training.map_lessons import BEHIND, DEEP, FREE, MapLessons, map_lessons
+from echogrid.training.map_lessons import BEHIND, DEEP, MapLessons, map_lessons
 
 WEIGHTS = {SURFACE: 3.5, FREE: 1.0, BEHIND: 1.0, DEEP: 0.3}
 """Of a cell in the loss, by its label. A wall that is missed costs more than floor that is; hidden cells are to stay

@@ -8,7 +8,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Integer
+from jaxtyping import Array, Bool, Float, Integer
 from numpy import ndarray
 from scipy.ndimage import distance_transform_edt
 
@@ -168,16 +168,31 @@ KIND = drives_of(FRAMES)
 """The drives."""
 
 
-def _lesson(rng: np.random.Generator, driven: Driven) -> Lessons:
-    """A drive with all that disturbs its readings, padded."""
-    d, ranges = driven.drive, driven.ranges
+def disturbed(rng: np.random.Generator, driven: Driven) -> Float[ndarray, "frames sonars"]:
+    """The readings of a drive (m) as the robot tells them: people walk past, and the ranging module errs."""
+    ranges, robot = driven.ranges, driven.drive.robot
     if rng.random() < PEOPLE_SHARE:
         ranges = passers_by(ranges, driven.sonars, rng)
-    told = d.robot.clean(disturb(ranges, driven.physics, d.robot.max_range_m, rng))
-    if rng.random() < IN_TURN_SHARE:
-        groups = rng.choice([2, 3, 4, 8])
-        silent = (np.arange(FRAMES)[:, None] - np.arange(d.robot.sonars)) % groups != 0
-    else:
+    return robot.clean(disturb(ranges, driven.physics, robot.max_range_m, rng))
+
+
+def out_of_turn(rng: np.random.Generator, frames: int, sonars: int) -> Bool[ndarray, "frames sonars"] | None:
+    """Which readings are missing where sonars fire in turn, group after group; None: all fire at once, as most do."""
+    if rng.random() >= IN_TURN_SHARE:
+        return None
+    return (np.arange(frames)[:, None] - np.arange(sonars)) % rng.choice([2, 3, 4, 8]) != 0
+
+
+def most_sonars(rng: np.random.Generator) -> int:
+    """Most sonars of a random robot."""
+    return MOST_SONARS[int(rng.random() < LARGE_SHARE)]
+
+
+def _lesson(rng: np.random.Generator, driven: Driven) -> Lessons:
+    """A drive with all that disturbs its readings, padded."""
+    d, told = driven.drive, disturbed(rng, driven)
+    silent = out_of_turn(rng, FRAMES, d.robot.sonars)
+    if silent is None:
         silent = rng.random(told.shape) < rng.choice([0.0, 0.0, rng.uniform(0, 0.6)])
     most = max(d.robot.sonars, MOST_SONARS[1])
     padded = np.full((FRAMES, most), np.nan, dtype=np.float16)
@@ -201,8 +216,4 @@ def _lesson(rng: np.random.Generator, driven: Driven) -> Lessons:
 
 def lessons(robot: Robot | None, drives: int, seed: int, progress: bool = False) -> Lessons:
     """Lessons from simulated drives; arguments as for ``simulated``."""
-
-    def most_sonars(rng: np.random.Generator) -> int:
-        return MOST_SONARS[int(rng.random() < LARGE_SHARE)]
-
     return simulated(robot, KIND, most_sonars, _lesson, drives, seed, progress)
