@@ -2,7 +2,6 @@
 
 import bz2
 import gzip
-import tempfile
 
 import pytest
 from lz4.frame import compress as lz4_compress
@@ -17,14 +16,7 @@ PIECES = {"zstd": zstd.compress, "bzip2": bz2.compress, "lz4": lz4_compress}
 TEXT = b"".join(b"%d,%d\n" % (n, n * n % 1009) for n in range(5000))
 
 
-@pytest.fixture(autouse=True)
-def temporary(tmp_path, monkeypatch):
-    """Where temporary files go; at the end of each test there are none."""
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    yield folder
-    assert list(folder.iterdir()) == []
+pytestmark = pytest.mark.usefixtures("temporary")
 
 
 def undeclared(data: bytes) -> bytes:

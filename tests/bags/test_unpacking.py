@@ -2,7 +2,6 @@
 
 import gzip
 import os
-import tempfile
 from contextlib import ExitStack
 
 import pytest
@@ -23,14 +22,7 @@ from log_samples import peak_of
 PLUGINS = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 
 
-@pytest.fixture(autouse=True)
-def temporary(tmp_path, monkeypatch):
-    """Where temporary files go; at the end of each test there are none."""
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    yield folder
-    assert list(folder.iterdir()) == []
+pytestmark = pytest.mark.usefixtures("temporary")
 
 
 def recorded(path, form, mode, drive=DRIVE):

@@ -20,13 +20,11 @@ orientations (walls) and runs; no training and no other study has seen them. Tak
 """
 
 import argparse
-import time
 from collections.abc import Callable
 from pathlib import Path
 
-from echogrid.errors import EchogridError
-from echogrid.mapping.registry import sensor_model
 from experiments.common import report
+from experiments.common.parts import check, run
 from experiments.studies.drivable import doors, passes, swarm, walls
 from experiments.studies.drivable.study import MODELS, Study
 
@@ -48,24 +46,12 @@ def main() -> None:
     )
     parser.add_argument("--out", type=Path, default=report.FOLDER, help="where numbers go")
     args = parser.parse_args()
-    if unknown := set(args.parts) - set(PARTS):
-        parser.error(f"found {', '.join(sorted(unknown))}, expected some of {', '.join(PARTS)}")
-    if args.rooms is not None and args.rooms < 1:
-        parser.error(f"--rooms: found {args.rooms}, expected at least 1")
+    check(parser, args.parts, PARTS, args.rooms, args.models)
     if args.passes and min(args.passes) < 1:
         parser.error(f"--passes: found {min(args.passes)}, expected at least 1")
-    for name in args.models:
-        try:
-            sensor_model(name)
-        except EchogridError as error:
-            parser.error(str(error))
     report.FOLDER = args.out
     study = Study(tuple(args.models), args.rooms, tuple(sorted(set(args.passes))) if args.passes else None)
-    for name in args.parts or PARTS:
-        begin = time.perf_counter()
-        print(f"\n## {name}")
-        PARTS[name](study)
-        print(f"\n{name}: {(time.perf_counter() - begin) / 60:.1f} min", flush=True)
+    run(PARTS, args.parts, study)
 
 
 if __name__ == "__main__":

@@ -25,14 +25,13 @@ minutes on 2 cores, no part more than 5.
 import argparse
 import os
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 
-from echogrid.errors import EchogridError
-from echogrid.mapping.registry import DEFAULT, sensor_model
+from echogrid.mapping.registry import DEFAULT
 from echogrid.robot import robot_yaml
 from experiments.common import report
+from experiments.common.parts import check, run
 from experiments.studies.generalise import (
     arrays,
     calibration,
@@ -69,16 +68,7 @@ def main() -> None:
     if args.write_robot:
         args.write_robot.write_text(robot_yaml(arrays.arrays_of()[arrays.UNEVEN].robot), encoding="utf-8")
         return
-    unknown = set(args.parts) - set(PARTS)
-    if unknown:
-        parser.error(f"found {', '.join(sorted(unknown))}, expected some of {', '.join(PARTS)}")
-    if args.rooms is not None and args.rooms < 1:
-        parser.error(f"--rooms: found {args.rooms}, expected at least 1")
-    for name in filter(None, [args.model, args.own]):
-        try:
-            sensor_model(name)
-        except EchogridError as error:
-            parser.error(str(error))
+    check(parser, args.parts, PARTS, args.rooms, filter(None, [args.model, args.own]))
     report.FOLDER = args.out
     study = Study(args.model, args.rooms, args.own)
     with tempfile.TemporaryDirectory(prefix="echogrid-generalise-") as compiled:
@@ -88,11 +78,7 @@ def main() -> None:
             "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
             "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
         }
-        for name in args.parts or PARTS:
-            begin = time.perf_counter()
-            print(f"\n## {name}")
-            PARTS[name](study)
-            print(f"\n{name}: {(time.perf_counter() - begin) / 60:.1f} min", flush=True)
+        run(PARTS, args.parts, study)
 
 
 if __name__ == "__main__":
