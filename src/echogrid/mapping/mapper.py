@@ -52,7 +52,8 @@ class Mapper:
         self._fusion = model.fusion(robot, self.resolution, half_life)
         self.cell_m = self._fusion.cell_m or self.resolution
         """Side of the cells in which the map is kept, m; it is told in cells of ``resolution``."""
-        self._grown = GrowingGrid(self.cell_m, self._fusion.blank, model.p_min, chosen=self._fusion.cell_m is None)
+        chosen = self._fusion.cell_m is None
+        self._grown = GrowingGrid(self.cell_m, self._fusion.blank, model.p_min, chosen)
         # Where nothing fades the stamps decide nothing, and scans may come in any order.
         self._latest = None if half_life is None else -np.inf
 
