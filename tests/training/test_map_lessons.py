@@ -119,6 +119,22 @@ def test_a_label_is_what_lies_at_the_middle_of_the_cell(seed, resolution, row, c
             assert found[i, k] == (BEHIND if near else DEEP)
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_doors_that_are_seen_but_not_passed_are_learnt_from(seed, monkeypatch):
+    rng = np.random.default_rng(seed)
+    wall = [[0.0, -3.0, 0.0, -0.4], [0.0, 0.4, 0.0, 3.0]]
+    world = World("door", np.array(wall), np.array([1e-3, 1e-3]), np.zeros((0, 3)))
+    poses = np.column_stack([np.linspace(-3, 3, 121), np.zeros(121), np.zeros(121)])
+    monkeypatch.setattr(making, "AVOIDED_SHARE", 1.0)
+    kept = making.away_from_the_narrowest(rng, world, poses)
+    least, most = making.AVOIDED_M
+    assert not kept[np.abs(poses[:, 0]) < least].any()
+    assert kept[np.abs(poses[:, 0]) > most].all()
+    assert making.away_from_the_narrowest(rng, world, poses[45:76]).all()  # too few would be left
+    monkeypatch.setattr(making, "AVOIDED_SHARE", 0.0)
+    assert making.away_from_the_narrowest(rng, world, poses).all()
+
+
 @settings(max_examples=8, deadline=None)
 @given(st.floats(0.5, 1.5), st.floats(-0.5, 0.5))
 def test_a_cell_is_surface_within_half_a_cell_of_the_scores_of_a_face(x, y):

@@ -13,7 +13,7 @@ from echogrid.simulation.simulate import Simulator
 from experiments.common.report import rounded
 from experiments.studies.generalise.study import label
 
-SEED = 90_000_000
+SEED = 150_000_000
 MODELS = ("set-network", "network", "muriel", "nav2-tuned")
 """Each has cells of its own size."""
 PAUSE_S = 1.0

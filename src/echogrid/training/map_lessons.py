@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Integer
+from jaxtyping import Array, Bool, Float, Integer
 from numpy import ndarray
 from scipy.ndimage import distance_transform_edt, maximum_filter
 
@@ -18,6 +18,7 @@ from echogrid.models.networks.set_network import SUMS, SetNetwork
 from echogrid.models.networks.surroundings import PACK
 from echogrid.robot import Robot
 from echogrid.simulation.drive import truth_of
+from echogrid.simulation.world import World
 from echogrid.training.drives import Driven, simulated
 from echogrid.training.set_lessons import MOST_SONARS, disturbed, drives_of, most_sonars, out_of_turn
 
@@ -27,8 +28,9 @@ FRAMES = 160
 LEAST_FRAMES = 30
 """Frames of the shortest part that a map is made of."""
 
-THROUGH_SHARE = 0.5
-"""Of the drives in flats, those through their doors: a door that was only seen is a door as well."""
+AVOIDED_SHARE, AVOIDED_M = 0.5, (0.4, 1.0)
+"""In so many drives the robot is not told of at the narrowest place, and so far round it: doors that were only seen
+from the rooms on both sides are doors as well."""
 
 SHAPE_SHARES = {"contour": 0.14, "room": 0.27, "corridor": 0.17, "hall": 0.08, "clutter": 0.08, "flat": 0.26}
 """How often each kind of world comes; flats more often than in the first part: surroundings tell of doors."""
@@ -54,7 +56,7 @@ class MapLessons(NamedTuple):
     """What is there, see BEHIND."""
 
 
-KIND = drives_of(FRAMES, SHAPE_SHARES, THROUGH_SHARE)
+KIND = drives_of(FRAMES, SHAPE_SHARES)
 """The drives."""
 
 _FINE = 3
@@ -81,15 +83,28 @@ def _lesson(network: SetNetwork, rng: np.random.Generator, driven: Driven) -> Ma
         heard[rng.random(heard.shape) < rng.uniform(0, 0.6)] = np.nan
     count = int(rng.choice([FRAMES, rng.integers(LEAST_FRAMES, FRAMES)]))
     begin = int(rng.integers(0, FRAMES - count + 1))
-    part = np.s_[begin : begin + count]
+    part = begin + np.arange(count)
+    part = part[away_from_the_narrowest(rng, d.world, d.poses[part])]
     grown, fusion = _mapped(network, d.robot, d.believed[part], heard[part])
     truth = widened(truth_of(d.world, d.poses[part], KIND.truth_m / _FINE, KIND.reach_m))
-    home = d.believed[begin + int(rng.integers(0, count)), :2] + rng.uniform(-1.5, 1.5, 2)
+    home = d.believed[rng.choice(part), :2] + rng.uniform(-1.5, 1.5, 2)
     corner = np.floor(home[::-1] / network.cell_m / PACK).astype(np.int64) * PACK - SIDE // 2
     cells = grown.copied(corner, (SIDE, SIDE), (*SUMS, "stood"))
     label = labels(truth, corner, network.cell_m)
     label[(cells["occupied"] + cells["free"] <= 0) | (cells["stood"] > 0)] = NOTHING
     return MapLessons(fusion.telling(cells).astype(np.float16), fusion.array, label)
+
+
+def away_from_the_narrowest(
+    rng: np.random.Generator, world: World, poses: Float[ndarray, "frames 3"]
+) -> Bool[ndarray, "frames"]:
+    """Which frames are kept, see AVOIDED_SHARE; all of a drive that would have too few."""
+    every = np.ones(len(poses), dtype=bool)
+    if rng.random() >= AVOIDED_SHARE:
+        return every
+    place = poses[np.argmin(world.clearance(poses[:, :2])), :2]
+    kept = np.hypot(*(poses[:, :2] - place).T) > rng.uniform(*AVOIDED_M)
+    return kept if np.sum(kept) >= LEAST_FRAMES else every
 
 
 def _mapped(network: SetNetwork, robot: Robot, poses: ndarray, ranges: ndarray):

@@ -82,8 +82,14 @@ class SetRecipe(Recipe[Lessons]):
 
     @override
     def then(self, network: SetNetwork) -> MapRecipe:
-        drives, epochs = (max(1, round(n * share)) for n, share in ((self.drives, MAPS_SHARE), (self.epochs, 0.5)))
-        return MapRecipe(drives, epochs, batch=8, learning_rate=3e-3, seed=self.seed + 1, network=network)
+        return MapRecipe(
+            max(1, round(self.drives * MAPS_SHARE)),
+            self.epochs,
+            batch=8,
+            learning_rate=3e-3,
+            seed=self.seed + 1,
+            network=network,
+        )
 
 
 def orders(drives: Lessons) -> Int[ndarray, "drives bearings tokens"]:
