@@ -1,0 +1,18 @@
+// The kernels of one set of instructions, as a table of functions: the only name that an object of kernels exports.
+#pragma once
+
+namespace echogrid {
+
+struct Kernels {
+    const char* variant;  // "v2", "v3", "v4" of x86-64, "neon" or "baseline"
+};
+
+}  // namespace echogrid
+
+#if defined(__x86_64__)
+extern "C" const echogrid::Kernels echogrid_kernels_v2, echogrid_kernels_v3, echogrid_kernels_v4;
+#elif defined(__aarch64__)
+extern "C" const echogrid::Kernels echogrid_kernels_neon;
+#else
+extern "C" const echogrid::Kernels echogrid_kernels_baseline;
+#endif
