@@ -15,4 +15,6 @@ namespace echogrid {
 // Those of this machine, or what was asked for (see instructions.hpp); refuses where they are not to be had.
 const Kernels& kernels();
 
+void bind_score(nanobind::module_& module);
+
 }  // namespace echogrid

@@ -3,6 +3,9 @@
 // AVX-512 would crash a machine without it.
 #include "kernels.hpp"
 
+#include "score_kernel.hpp"
+
 extern "C" const echogrid::Kernels ECHOGRID_KERNELS = {
     .variant = ECHOGRID_VARIANT,
+    .score = score_poses,
 };

@@ -36,4 +36,5 @@ NB_MODULE(_core, module) {
     module.def("instructions", [] { return echogrid::kernels().variant; });
     module.def("threads", &echogrid::threads);
     module.def("set_threads", &echogrid::checked_set_threads, nb::arg("count"));
+    echogrid::bind_score(module);
 }
