@@ -16,5 +16,6 @@ namespace echogrid {
 const Kernels& kernels();
 
 void bind_score(nanobind::module_& module);
+void bind_cost_to_go(nanobind::module_& module);
 
 }  // namespace echogrid
