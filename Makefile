@@ -45,10 +45,12 @@ check: $(READY)  ## lint, format and types
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/ty check
+	$(BIN)/clang-format --dry-run --Werror core/*.cpp core/*.hpp
 
 format: $(READY)  ## put the code into shape
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
+	$(BIN)/clang-format -i core/*.cpp core/*.hpp
 
 bench: $(READY)  ## speed and memory (about 12 minutes; python -m benchmarks.live hour takes 8 more)
 	$(BIN)/python -m benchmarks.simulator
@@ -56,6 +58,7 @@ bench: $(READY)  ## speed and memory (about 12 minutes; python -m benchmarks.liv
 	$(BIN)/python -m benchmarks.models
 	$(BIN)/python -m benchmarks.memory
 	$(BIN)/python -m benchmarks.bags
+	$(BIN)/python -m benchmarks.core
 	$(BIN)/python -m benchmarks.live latency
 
 study: $(READY)  ## score both networks and the cone on held-out rooms (about 10 minutes)

@@ -21,8 +21,8 @@ namespace {
 
 constexpr size_t poses_of_a_part = 32;
 
-// Beyond 2^29 cells an int32 could not tell the cell; nobody sees as far.
-constexpr double farthest_point_cells = 0x1p29;
+// Up to there a float32 tells where in a cell a point is, to a hundredth of it; nobody sees as far.
+constexpr double farthest_point_cells = 0x1p16;
 
 class PoseScorer {
    public:
@@ -51,7 +51,8 @@ class PoseScorer {
     NewArray<float> score(const Array2<float>& points, const Array1<float>& a, const Array2<double>& poses) const {
         const std::vector<float> padded = padded_points(points, a);
         const size_t count = padded.size() / 3;
-        const ScorePoints seen{padded.data(), padded.data() + count, padded.data() + 2 * count, count};
+        const ScorePoints seen{padded.data(), padded.data() + count, padded.data() + 2 * count, count,
+                               reach_cells(points)};
         if (poses.shape(1) != 3) refuse("poses: found " + shape_text(poses) + ", expected n x 3");
         const size_t n = poses.shape(0);
         for (size_t i = 0; i < 3 * n; ++i)
@@ -94,12 +95,23 @@ class PoseScorer {
                 const float value = points.data()[2 * i + axis];
                 if (!(std::abs(value) * map_.cells_per_m < farthest_point_cells))
                     refuse("points[" + std::to_string(i) + "]: found " + text(value) +
-                           ", expected m, at most 2^29 cells away");
+                           ", expected m, at most 2^16 cells away");
                 padded[axis * count + i] = value;
             }
             padded[2 * count + i] = a.data()[i];
         }
         return padded;
+    }
+
+    // A whole number of cells that no point lies as far away as, however it is turned.
+    int32_t reach_cells(const Array2<float>& points) const {
+        double farthest = 0;
+        for (size_t i = 0; i < points.shape(0); ++i) {
+            const double x = static_cast<double>(points.data()[2 * i]),
+                         y = static_cast<double>(points.data()[2 * i + 1]);
+            farthest = std::max(farthest, std::hypot(x, y));
+        }
+        return static_cast<int32_t>(farthest * map_.cells_per_m) + 2;
     }
 
     std::vector<float> pairs_;

@@ -145,11 +145,11 @@ B, P, A, POSES = np.zeros((2, 2), np.float32), np.zeros((3, 2), np.float32), np.
         ("origin: found (0, inf), expected m", {"origin": (0.0, math.inf)}, {}),
         ("points: found 3 x 3, expected n x 2", {}, {"points": np.zeros((3, 3), np.float32)}),
         (
-            "points[1]: found nan, expected m, at most 2^29 cells away",
+            "points[1]: found nan, expected m, at most 2^16 cells away",
             {},
             {"points": P + np.array([[0, math.nan, 0]]).T},
         ),
-        ("points[0]: found 1e+30, expected m, at most 2^29 cells away", {}, {"points": P + 1e30}),
+        ("points[0]: found 1e+30, expected m, at most 2^16 cells away", {}, {"points": P + 1e30}),
         ("a: found 2 values for 3 points, expected one each", {}, {"a": A[:2]}),
         ("a: found -2, expected 2 p - 1 in -1 to 1", {}, {"a": A - 2}),
         ("poses: found 1 x 2, expected n x 3", {}, {"poses": POSES[:, :2]}),
