@@ -1,4 +1,5 @@
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -120,7 +121,7 @@ def test_a_map_without_cells_has_none():
     ],
 )
 def test_what_cannot_be_priced_is_refused(told, change):
-    asked = {"costs": np.ones((2, 3), np.float32), "goals": np.array([[0, 0]]), "resolution": 0.1}
+    asked: dict[str, Any] = {"costs": np.ones((2, 3), np.float32), "goals": np.array([[0, 0]]), "resolution": 0.1}
     if "costs" in change:
         row, col, value = change["costs"]
         asked["costs"][row, col] = value
