@@ -4,8 +4,19 @@
 #include "kernels.hpp"
 
 #include "score_kernel.hpp"
+#include "set_array.hpp"
+#include "set_encoder.hpp"
+#include "set_sums.hpp"
+#include "surroundings.hpp"
 
 extern "C" const echogrid::Kernels ECHOGRID_KERNELS = {
     .variant = ECHOGRID_VARIANT,
     .score = score_poses,
+    .prepare_array = prepare_array,
+    .polar_table = polar_table,
+    .add_scans = add_scans,
+    .tell_cells = tell_cells,
+    .begin_stack = begin_stack,
+    .convolve = convolve,
+    .finish_cells = finish_cells,
 };

@@ -2,6 +2,8 @@
 #pragma once
 
 #include "score.hpp"
+#include "set_network.hpp"
+#include "surroundings_types.hpp"
 
 namespace echogrid {
 
@@ -10,6 +12,17 @@ struct Kernels {
 
     // Scores of `count` poses [x (m), y (m), heading (rad)], finite: sums of log(1 + a b) over the points.
     void (*score)(const ScoreMap& map, const ScorePoints& points, const double* poses, size_t count, float* scores);
+
+    // The set network, in the order in which its kernels follow each other; see set_array.hpp, set_encoder.hpp,
+    // set_sums.hpp and surroundings.hpp.
+    void (*prepare_array)(const SetRobot& robot, const Bearings& bearings, SetArray& array);
+    void (*polar_table)(const SetWeights& w, const SetRobot& robot, const SetArray& array, const float* ranges,
+                        const float* traits, float* room, float* table, float* until);
+    void (*add_scans)(const SetWindow& window, const SetScan* scans, int count, int first, int last);
+    void (*tell_cells)(const ReadOut& r, int first, int last, float* room);
+    void (*begin_stack)(const ReadOut& r, int first, int last);
+    void (*convolve)(const ReadOut& r, int layer, int first, int last);
+    void (*finish_cells)(const ReadOut& r, int first, int last, float* room);
 };
 
 }  // namespace echogrid

@@ -20,7 +20,8 @@ PLAN = {
     "logs": "lines rows csv_header csv_log carmen formats contents",
     "models": "batches model",
     "models.classical": "beam sweep log_odds calculi forward_model",
-    "models.networks": "weights memory set_layers surroundings polar_map set_network local_map paper_network",
+    "models.networks": "weights memory set_layers surroundings set_core polar_map set_network local_map "
+    "paper_network",
     "mapping": "registry intake mapper build",
     "training": "drives gradient_descent paper_examples paper_training set_lessons map_lessons map_training "
     "set_training",
@@ -50,7 +51,8 @@ def imported(tree):
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "imports name the package"
             if node.module == "echogrid":
-                yield from (f"echogrid.{name.name}" for name in node.names if name.name != "__version__")
+                names = (name.name for name in node.names)
+                yield from (f"echogrid.{name}" for name in names if name not in ("__version__", "_core"))
             elif node.module and node.module.startswith("echogrid."):
                 submodules = [f"{node.module}.{name.name}" for name in node.names]
                 below = [name for name in submodules if name.removeprefix("echogrid.") in TREES]

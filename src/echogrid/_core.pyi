@@ -1,10 +1,15 @@
 """The compiled core; its sources lie in core/ of the repository."""
 
+from collections.abc import Sequence
+
+from jaxtyping import Bool, Float32, Float64, Int32
+from numpy import ndarray
+
 def instructions() -> str:
     """The instructions that the kernels use: "v2", "v3" or "v4" of x86-64, "neon" or "baseline".
 
-    They are the widest that this machine has, unless the environment variable ECHOGRID_INSTRUCTIONS names others at the
-    first use of a kernel.
+    They are the widest that this machine has, unless the environment variable ECHOGRID_INSTRUCTIONS names others at
+    the first use of a kernel.
 
     Raises:
         UsageError: the machine does not have those that the variable names, or none that the core was built for.
@@ -19,3 +24,113 @@ def set_threads(count: int) -> None:
     Raises:
         UsageError: it is not in 1 to 256.
     """
+
+class SonarArray:
+    """An array of sonars, and what it fixes of the set network's polar table."""
+
+    def __init__(
+        self,
+        mounts: Float64[ndarray, "sonars 3"],
+        max_range: Float32[ndarray, "sonars"],
+        footprint: float,
+        half_beam: float,
+        ends: bool,
+    ) -> None:
+        """An array.
+
+        Args:
+            mounts: forward and left, m, and axis, rad, of each; nan: no such sonar.
+            max_range: of each, m.
+            footprint: radius of the robot, m.
+            half_beam: half the beam width, rad.
+            ends: whether what a sonar tells ends at its range.
+
+        Raises:
+            UsageError: arrays of other shapes, or no beam.
+        """
+
+class PolarTables:
+    """What scans tell of bearings and rings round the robot."""
+
+    def values(self) -> Float32[ndarray, "scans 64 51"]:
+        """Log-odds at bearings and rings, a copy; 0 where no sonar that fired looks."""
+
+    def told_until(self) -> Float32[ndarray, "scans 64"]:
+        """How far from the robot's middle scans tell, from each bearing to the next, m; a copy."""
+
+    def add(
+        self,
+        corner: Float32[ndarray, "scans 2"],
+        heading: Float64[ndarray, "scans"],
+        first: Int32[ndarray, "scans 2"],
+        weight: Float32[ndarray, "scans"],
+        cell: float,
+        sums: Sequence[Float32[ndarray, "rows cols"]],
+        views: Int32[ndarray, "rows cols"],
+    ) -> None:
+        """Add scans to a window of the map, in their order.
+
+        Args:
+            corner: centre of the first cell of each scan's patch, from the robot, world axes, m.
+            heading: of the robot, rad.
+            first: row and column of that cell in the window.
+            weight: what each scan counts; of those that count nothing nothing is added.
+            cell: side of a cell, m.
+            sums: evidence for a surface and against it, the same of its squares, looks. Written to, as ``views``;
+                views of larger arrays, all of the same strides.
+            views: scans that spoke of each cell.
+
+        Raises:
+            UsageError: arrays of other shapes, a window of fewer than 16 columns.
+        """
+
+class SetNetwork:
+    """The set network with its weights. Calls run side by side where other threads hold no lock of Python's."""
+
+    def __init__(self, weights: Float32[ndarray, "n"], units: int) -> None:
+        """A network of so many units, its weights one after the other, see core/set_network.hpp."""
+
+    def surround(self, parts: Sequence[Float32[ndarray, "_"]], units: int, passed: int, cell_units: int) -> None:
+        """Let cells be read with their surroundings: weights of the stack, see core/surroundings_types.hpp."""
+
+    def tables(
+        self,
+        array: SonarArray,
+        ranges: Float32[ndarray, "scans sonars"],
+        traits: Float32[ndarray, "scans 4"],
+        mounts: Float64[ndarray, "scans sonars 3"] | None = None,
+    ) -> PolarTables:
+        """What scans tell.
+
+        Args:
+            array: of the robot.
+            ranges: m; inf: no echo, nan: not fired.
+            traits: of the surroundings, see ``Memory``.
+            mounts: from where the sonars of each scan looked; None: as in the array.
+        """
+
+    def read_out(
+        self,
+        held: Sequence[Float32[ndarray, "rows cols"]],
+        held_at: tuple[int, int],
+        squares: tuple[int, int],
+        begin: Float32[ndarray, "units"],
+        faded: float,
+        least: float,
+        log_odds: Float32[ndarray, "out_rows out_cols"],
+        observed: Bool[ndarray, "out_rows out_cols"],
+        out_at: tuple[int, int],
+    ) -> None:
+        """Read out cells of a rectangle, whose first cell has even indices in the world.
+
+        Args:
+            held: sums as of ``PolarTables.add``, and where the robot stood; nothing is known of the others.
+            held_at: row and column of the rectangle at which they begin.
+            squares: rows and columns of the rectangle, in squares of 2 x 2 cells.
+            begin: what the robot's sonars add to the first layer of the surroundings.
+            faded: what evidence has come to count.
+            least: evidence that counts no more than this is none.
+            log_odds: written to.
+            observed: likewise: where anything is known.
+            out_at: row and column of the rectangle at which they begin.
+        """

@@ -25,6 +25,9 @@ LIMIT = 4.0
 AT_M = 1.2
 """The sonars of a bearing are those whose axes point nearest to its point at this distance from the robot."""
 
+TIE_RAD = 1e-5
+"""A sonar that looks so nearly along a bearing, or away from it, has one side of it, whatever rounding makes of it."""
+
 STEPS_M = np.array([-0.5, -0.2, -0.1, -0.05, 0.0, 0.05, 0.1, 0.2, 0.45])
 """Knots of the profile of an echo: distance beyond it. Before the first the profile is flat, at the last it is 0."""
 
@@ -96,8 +99,9 @@ def along(mounts, bearing):
     ahead, aside = cos * x + sin * y, cos * y - sin * x
     axis = axis - bearing
     axis = jnp.arctan2(jnp.sin(axis), jnp.cos(axis))
+    axis = jnp.where(axis < TIE_RAD - np.pi, axis + 2 * np.pi, axis)
     off = jnp.arctan2(-aside[0], AT_M - ahead[0]) - axis[0]
-    sign = jnp.where(off < 0, -1.0, 1.0)
+    sign = jnp.where(off < -TIE_RAD, -1.0, 1.0)
     return sign * axis, ahead, sign * aside
 
 
@@ -170,8 +174,8 @@ def initial(rng: np.random.Generator, hidden: int = HIDDEN_UNITS) -> Weights:
         "w2t": dense(TRAITS, h, 0.7),
         "b2": zero(h),
         "a2": dense(h, 2, 1.0),
-        "wp": dense(h, len(_STEP_BENDS), 0.05),
-        "bp": zero(len(_STEP_BENDS)),
+        "wp": dense(h, len(STEP_BENDS), 0.05),
+        "bp": zero(len(STEP_BENDS)),
         "w3": dense(2 * h, h),
         "b3": zero(h),
         "ws": np.ones(1, dtype=np.float32),
@@ -213,9 +217,9 @@ def encode(w: Weights, t: Tokens) -> tuple[Rows, Float[Array, "bends n"]]:
     h2 = _dense(w["w2"], h) + (_dense(w["w2p"], pooled) + _dense(w["w2t"], t.traits - 0.5))[:, None]
     h2 = jax.lax.optimization_barrier(jnp.maximum(h2 + w["b2"][:, None, None], 0.0))
     pooled = _pool(h2, _dense(w["a2"], h2), fired)
-    bends, bias = w["wp"] @ _STEP_BENDS, w["bp"] @ _STEP_BENDS
+    bends, bias = w["wp"] @ STEP_BENDS, w["bp"] @ STEP_BENDS
     profiles = jnp.where(echo, _dense(bends, h2) + bias[:, None, None], 0.0)
-    bends, bias = w["wr"] @ _RING_BENDS, w["br"] @ _RING_BENDS
+    bends, bias = w["wr"] @ RING_BENDS, w["br"] @ RING_BENDS
     rings = _dense(bends, jnp.maximum(_dense(w["w3"], pooled) + w["b3"][:, None], 0.0)) + bias[:, None]
     return profiles, rings
 
@@ -228,8 +232,8 @@ def _bends(knots: Float[ndarray, "knots"]) -> Float[ndarray, "knots bends"]:
 
 
 # An echo's profile ends at 0.
-_STEP_BENDS = _bends(STEPS_M)[:-1]
-_RING_BENDS = _bends(RINGS_M)
+STEP_BENDS = _bends(STEPS_M)[:-1]
+RING_BENDS = _bends(RINGS_M)
 
 
 def saturated[A: (Array, ndarray)](looks: A, *sums: A, xp: Any = jnp) -> tuple[A, ...]:
