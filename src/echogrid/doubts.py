@@ -52,6 +52,9 @@ _WHOLE, _EVERY = 512, 8
 """After so many frames the ranges and headings of every so many-th batch alone are looked at: shares need no more."""
 
 _SAME_M, _LEAST_S = 1e-6, 0.02
+_LEAST_WAY_M = 0.01
+_AROUND = 6
+"""Steps before and after a heading that jumps, by which it is judged."""
 _DEGREES = {"degrees": np.pi / 180, "tenths of a degree": np.pi / 1800}
 _ALONG = 0.8
 """Mean resultant length from which headings agree with the way that is driven: 1 if all do, 0 if none."""
@@ -137,6 +140,21 @@ def speeds(track: Float[ndarray, "poses 4"], turns: bool = True) -> Speeds:
     return Speeds(way, far, turn > np.maximum(FASTEST_RAD_S * took, JUMP_RAD), *fastest)
 
 
+def _drove_on(track: Float[ndarray, "poses 4"], before: slice, after: slice) -> bool:
+    """Whether a robot drives on with its heading as before some steps after them, as far as they tell.
+
+    Then its way has turned with the heading: the robot did, and the log has nothing of how.
+    """
+    _, dx, dy, _ = (track[1:] - track[:-1]).T
+    moves = np.hypot(dx, dy) > _LEAST_WAY_M
+    off = np.exp(1j * (track[:-1, 3] - np.arctan2(dy, dx)))
+    sides = [off[part][moves[part]] for part in (before, after)]
+    if not any(map(len, sides)):
+        return False  # it stands
+    turned = np.angle(np.sum(sides[1]) * np.conj(np.sum(sides[0])))
+    return min(map(len, sides)) < _AROUND // 2 or bool(abs(turned) < JUMP_RAD / 2)
+
+
 class Judge:
     """Sees the frames of one log, in bounded memory and at next to no cost."""
 
@@ -148,6 +166,7 @@ class Judge:
         was measured, or of 0 m."""
         self._robot = robot
         self._last: Float[ndarray, "4"] | None = None
+        self._turning, self._unjudged = np.empty((0, 4)), 0
         self._where, self._batches, self._frames = Whereabouts(), 0, 0
         self._waiting: list[Float[ndarray, "frames 4"]] = []
         self._first_stamp = nan
@@ -232,7 +251,7 @@ class Judge:
         found = speeds(track, turns=whole)
         self.motion.steps += len(found.way)
         self._count_jumps(track[1:, 0], found.way, found.far)
-        self._count_turns(track, found.far)
+        self._count_turns(rows)
         if not whole or found.far.all():
             return
         motion, on = self.motion, ~found.far
@@ -247,16 +266,24 @@ class Judge:
             # Twice the angle, for a robot may drive backwards.
             self._along[unit] += complex(np.sum(np.exp(2j * (bearing - scale * heading))))
 
-    def _count_turns(self, track: Float[ndarray, "poses 4"], far: Bool[ndarray, "steps"]) -> None:
-        """Headings that jump where the place does not."""
-        took, turn = track[1:, 0] - track[:-1, 0], np.abs(wrap(track[1:, 3] - track[:-1, 3]))
-        spun = (turn > np.maximum(SPUN_RAD_S * took, JUMP_RAD)) & ~far
-        if not spun.any():
-            return
-        if not self.motion.spun:
-            at = int(np.argmax(spun))
-            self.motion.first_turn = float(track[at + 1, 0]), float(turn[at])
-        self.motion.spun += int(np.count_nonzero(spun))
+    def _count_turns(self, rows: Float[ndarray, "poses 4"], last: bool = False) -> None:
+        """Headings that jump where the place does not; the steps at the end wait for those that follow them."""
+        track = np.concatenate([self._turning, rows])
+        new = len(rows) + self._unjudged
+        self._turning = track[-2 * _AROUND - 1 :]
+        self._unjudged = 0 if last else min(_AROUND, new)
+        took, dx, dy, turn = (track[1:] - track[:-1]).T
+        turn = wrap(turn)
+        spun = np.abs(turn) > np.maximum(SPUN_RAD_S * took, JUMP_RAD)
+        spun &= np.hypot(dx, dy) <= np.maximum(FASTEST_M_S * took, JUMP_M)
+        spun[: max(len(spun) - new, 0)] = spun[max(len(spun) - self._unjudged, 0) :] = False
+        for at in np.flatnonzero(spun):
+            before, after = (slice(max(at - _AROUND, 0), at), slice(at + 1, at + 1 + _AROUND))
+            if _drove_on(track, before, after):
+                continue
+            if not self.motion.spun:
+                self.motion.first_turn = float(track[at + 1, 0]), float(abs(turn[at]))
+            self.motion.spun += 1
 
     def _count_jumps(self, stamps: ndarray, way: ndarray, far: Bool[ndarray, "steps"]) -> None:
         if not far.any():
@@ -270,6 +297,7 @@ class Judge:
     def notes(self) -> dict[str, int]:
         """What is doubtful: a line each, and how often; 0 where that says nothing."""
         self._see_waiting()
+        self._count_turns(self._turning[:0], last=True)
         return self._of_ranges() | self._of_poses() | self._of_stillness()
 
     def _of_ranges(self) -> dict[str, int]:

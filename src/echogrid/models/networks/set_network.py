@@ -19,7 +19,7 @@ from echogrid.grid import GrowingGrid, Layers
 from echogrid.models.batches import BATCH, WINDOW_M, in_robot, near_each_other, placed
 from echogrid.models.model import Evidence, Fusion, Model
 from echogrid.models.networks import surroundings
-from echogrid.models.networks.memory import Memory
+from echogrid.models.networks.memory import Memory, Recent
 from echogrid.models.networks.polar_map import REACH_M, array_of, asked, ends_within, moved_view, view
 from echogrid.models.networks.set_layers import Weights, fused, initial, saturated
 from echogrid.models.networks.weights import read_weights, write_weights
@@ -160,7 +160,7 @@ class _Sums(Fusion):
     def equip(self, robot: Robot) -> None:
         super().equip(robot)
         self._window = self._window_of(ends_within(robot.mounts, robot.max_ranges_m))
-        self._memory = Memory(robot.mounts, self._half_life)
+        self._memory, self._recent = Memory(robot.mounts, self._half_life), Recent(robot.mounts)
         self._other_array = True
 
     def _window_of(self, ends: bool) -> Callable:
@@ -176,9 +176,10 @@ class _Sums(Fusion):
 
     @override
     def read(self, batch: Sequence[Frame], filled: bool = False) -> Callable[[], Evidence]:
+        batch, new = self._recent.completed(batch)
         stamps = np.array([frame.stamp for frame in batch])
         recalled = self._memory.take(
-            np.array([frame.pose for frame in batch]), np.array([frame.ranges for frame in batch]), stamps
+            np.array([frame.pose for frame in batch]), np.array([frame.ranges for frame in batch]), stamps, new
         )
         size = BATCH if filled else next(size for size in SIZES if size >= len(batch))
         at = placed(batch, size, self._side, self._network.cell_m)
