@@ -194,7 +194,7 @@ class Network {
 
     // See _core.pyi.
     void read_out(const std::vector<Layer<const float>>& held, std::pair<int, int> held_at,
-                  std::pair<int, int> squares, const Array1<float>& begin, float faded, float least,
+                  std::pair<int, int> squares, const Array1<float>& begin, float faded, float least, float stood,
                   Layer<float> log_odds, Layer<bool> observed, std::pair<int, int> out_at) {
         ReadOut r{};
         r.set = weights_, r.around = around_;
@@ -210,7 +210,7 @@ class Network {
         r.stride = held[0].stride(0);
         r.held_row = held_at.first, r.held_col = held_at.second;
         r.held_rows = static_cast<int>(held[0].shape(0)), r.held_cols = static_cast<int>(held[0].shape(1));
-        r.faded = faded, r.least = least;
+        r.faded = faded, r.least = least, r.stood = stood;
         r.high = squares.first, r.wide = squares.second;
         expect("observed", observed, {log_odds.shape(0), log_odds.shape(1)});
         r.log_odds = log_odds.data(), r.observed = reinterpret_cast<uint8_t*>(observed.data());
@@ -309,6 +309,25 @@ void add_scans(const PolarTables& tables, const Array2<float>& corner, const Arr
     });
 }
 
+// See _core.pyi.
+NewArray<float> told_at(const PolarTables& tables, const Array2<float>& x, const Array2<float>& y) {
+    const size_t scans = tables.scans, points = x.shape(1), padded = points + LEAST_COLS;
+    expect("x", x, {scans, points});
+    expect("y", y, {scans, points});
+    auto found = std::make_unique<float[]>(scans * points);
+    std::vector<float> at_x(padded), at_y(padded), told(padded);
+    for (size_t i = 0; i < scans; ++i) {
+        std::copy_n(x.data() + i * points, points, at_x.data());
+        std::copy_n(y.data() + i * points, points, at_y.data());
+        SetScan scan{};
+        scan.table = tables.tables.get() + i * TABLE;
+        scan.until = tables.ends ? tables.until.get() + i * BEARINGS : nullptr;
+        kernels().look_up(scan, at_x.data(), at_y.data(), static_cast<int>(points), told.data());
+        std::copy_n(told.data(), points, found.get() + i * points);
+    }
+    return new_array(std::move(found), {scans, points});
+}
+
 }  // namespace
 
 void bind_set_network(nb::module_& module) {
@@ -318,6 +337,7 @@ void bind_set_network(nb::module_& module) {
     nb::class_<PolarTables>(module, "PolarTables")
         .def("values", &PolarTables::values)
         .def("told_until", &PolarTables::told_until)
+        .def("at", &told_at, nb::arg("x"), nb::arg("y"))
         .def("add", &add_scans, nb::arg("corner"), nb::arg("heading"), nb::arg("first"), nb::arg("weight"),
              nb::arg("cell"), nb::arg("sums"), nb::arg("views"));
     nb::class_<Network>(module, "SetNetwork")
@@ -327,8 +347,8 @@ void bind_set_network(nb::module_& module) {
         .def("tables", &Network::tables, nb::arg("array"), nb::arg("ranges"), nb::arg("traits"),
              nb::arg("mounts") = nb::none())
         .def("read_out", &Network::read_out, nb::arg("held"), nb::arg("held_at"), nb::arg("squares"),
-             nb::arg("begin"), nb::arg("faded"), nb::arg("least"), nb::arg("log_odds"), nb::arg("observed"),
-             nb::arg("out_at"));
+             nb::arg("begin"), nb::arg("faded"), nb::arg("least"), nb::arg("stood"), nb::arg("log_odds"),
+             nb::arg("observed"), nb::arg("out_at"));
 }
 
 }  // namespace echogrid

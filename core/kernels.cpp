@@ -15,6 +15,7 @@ extern "C" const echogrid::Kernels ECHOGRID_KERNELS = {
     .prepare_array = prepare_array,
     .polar_table = polar_table,
     .add_scans = add_scans,
+    .look_up = look_up,
     .tell_cells = tell_cells,
     .begin_stack = begin_stack,
     .convolve = convolve,

@@ -19,6 +19,7 @@ struct Kernels {
     void (*polar_table)(const SetWeights& w, const SetRobot& robot, const SetArray& array, const float* ranges,
                         const float* traits, float* room, float* table, float* until);
     void (*add_scans)(const SetWindow& window, const SetScan* scans, int count, int first, int last);
+    void (*look_up)(const SetScan& scan, const float* x, const float* y, int count, float* found);
     void (*tell_cells)(const ReadOut& r, int first, int last, float* room);
     void (*begin_stack)(const ReadOut& r, int first, int last);
     void (*convolve)(const ReadOut& r, int layer, int first, int last);

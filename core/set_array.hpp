@@ -10,7 +10,7 @@ using namespace echogrid;
 
 constexpr double AT_M = 1.2;  // sonars are near whose axes point nearest to a bearing's point at this distance
 constexpr double TURN = 6.28318530717958648;
-constexpr double TIE_RAD = 1e-5;  // angles so near to a tie are one, whatever rounding makes of them
+constexpr double TIE_RAD = 1e-5;  // a sonar that looks so nearly along a bearing has it on its left
 constexpr double NEIGHBOUR_RAD = 0.35;
 constexpr float LOOK_COS = 0.866025404F;          // a sonar looks at what lies within 30 degrees of its axis,
 constexpr double CONE_SIN = 0.70710678118654752;  // and tells of nothing farther than 45 degrees off it
@@ -109,8 +109,8 @@ inline void look_along(const Asked& asked, const SetRobot& robot, const Bearings
         const Longs there = asked.sonar[k] >= 0;
         const Doubles x = asked.x[k], y = asked.y[k];
         const Doubles ahead = cos * x + sin * y, aside = cos * y - sin * x;
-        Doubles axis = wrapped(asked.axis[k] - bearing);
-        axis = axis < TIE_RAD - TURN / 2 ? axis + TURN : axis;
+        // Of a sonar that looks the opposite way float32 decides whether that is half a turn or minus half a turn.
+        const Doubles axis = wrapped(__builtin_convertvector(narrowed(asked.axis[k] - bearing), Doubles));
         if (k == 0) {
             const Doubles off = angle_of(-aside, AT_M - ahead) - axis;
             sign = off < -TIE_RAD ? Doubles{} - 1.0 : Doubles{} + 1.0;

@@ -89,4 +89,13 @@ void add_scans(const SetWindow& window, const SetScan* scans, int count, int fir
     }
 }
 
+// What a scan tells of points in the robot's frame, m; room of lanes to spare behind the last.
+void look_up(const SetScan& scan, const float* x, const float* y, int count, float* found) {
+    const Flushing flushing;
+    for (int i = 0; i < count; i += lanes) {
+        const Floats at_x = load(x + i), at_y = load(y + i);
+        store(found + i, scan.until ? looked_up<true>(scan, at_x, at_y) : looked_up<false>(scan, at_x, at_y));
+    }
+}
+
 }  // namespace

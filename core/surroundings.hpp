@@ -174,7 +174,6 @@ inline Floats corrected(const ReadOut& r, const float* told, const float* passed
 
 // Log-odds of a row of cells, and where anything is known of them, as [2][2 padded] floats.
 inline void finish_row(const ReadOut& r, int square, int a, float* row, float* room) {
-    constexpr float STOOD = -4.0F;  // at most, of floor on which the robot has stood
     const Around& w = r.around;
     const float* told = r.told + static_cast<int64_t>(square) * PLANES * r.pitch + MARGIN;
     const float* hidden = r.hidden[LAYERS % 2] + static_cast<int64_t>(square) * w.units * r.pitch + MARGIN;
@@ -198,7 +197,7 @@ inline void finish_row(const ReadOut& r, int square, int a, float* row, float* r
             const Floats stood = load(own + 6 * r.pitch);
             known[b] = load(told + (PACK * PACK * CELL_FEATURES + cell) * r.pitch + col);
             log_odds[b] = known[b] > 0.0F ? log_odds[b] : (stood > 0.0F ? log_odds[b] : Floats{});
-            log_odds[b] = stood > 0.0F ? smaller(log_odds[b], STOOD) : log_odds[b];
+            log_odds[b] = stood > 0.0F ? smaller(log_odds[b], r.stood) : log_odds[b];
             known[b] = larger(known[b], stood);
         }
         store(row + 2 * col, firsts(log_odds[0], log_odds[1]));

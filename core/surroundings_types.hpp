@@ -34,6 +34,7 @@ struct ReadOut {
     const float* held[6];
     int64_t stride;
     int held_row, held_col, held_rows, held_cols;
+    float stood;         // log-odds, at most, of floor on which the robot has stood
     float faded, least;  // what evidence has come to count; what is less than this is none
     int high, wide;      // squares
     int padded, pitch;   // squares of a row with those that fill the last vector, and with margins to both sides

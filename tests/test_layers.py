@@ -20,7 +20,7 @@ PLAN = {
     "logs": "lines rows csv_header csv_log carmen formats contents",
     "models": "batches model",
     "models.classical": "beam sweep log_odds calculi forward_model",
-    "models.networks": "weights memory set_layers surroundings set_core polar_map set_network local_map "
+    "models.networks": "weights memory set_layers set_encoder surroundings set_core set_network local_map "
     "paper_network",
     "mapping": "registry intake mapper build",
     "training": "drives gradient_descent paper_examples paper_training set_lessons map_lessons map_training "

@@ -58,6 +58,11 @@ class PolarTables:
     def told_until(self) -> Float32[ndarray, "scans 64"]:
         """How far from the robot's middle scans tell, from each bearing to the next, m; a copy."""
 
+    def at(
+        self, x: Float32[ndarray, "scans points"], y: Float32[ndarray, "scans points"]
+    ) -> Float32[ndarray, "scans points"]:
+        """What each scan tells of points in the robot's frame (m), log-odds; 0 = nothing, as beyond 2.5 m."""
+
     def add(
         self,
         corner: Float32[ndarray, "scans 2"],
@@ -117,6 +122,7 @@ class SetNetwork:
         begin: Float32[ndarray, "units"],
         faded: float,
         least: float,
+        stood: float,
         log_odds: Float32[ndarray, "out_rows out_cols"],
         observed: Bool[ndarray, "out_rows out_cols"],
         out_at: tuple[int, int],
@@ -130,6 +136,7 @@ class SetNetwork:
             begin: what the robot's sonars add to the first layer of the surroundings.
             faded: what evidence has come to count.
             least: evidence that counts no more than this is none.
+            stood: log-odds, at most, of floor on which the robot has stood.
             log_odds: written to.
             observed: likewise: where anything is known.
             out_at: row and column of the rectangle at which they begin.

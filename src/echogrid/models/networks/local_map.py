@@ -17,7 +17,7 @@ from numpy import ndarray
 
 from echogrid.frame import Frame
 from echogrid.grid import GrowingGrid, logit
-from echogrid.models.batches import BATCH, apart, in_robot, placed
+from echogrid.models.batches import BATCH, apart, placed
 from echogrid.models.model import CONE_RAD, Evidence, Fusion, Model
 from echogrid.robot import Robot
 
@@ -111,6 +111,22 @@ def surrounding(
     near = [jax.lax.rsqrt((u - du) ** 2 + (v - dv) ** 2 + 1e-12) for du, dv in steps]
     total = near[0] + near[1] + near[2] + near[3]
     return [first + du + LOCAL_CELLS * dv for du, dv in steps], [weight / total for weight in near], inside
+
+
+def in_robot(
+    corner: Float[Array, "scans 2"], theta: Float[Array, "scans"], steps: Float[Array, "side"]
+) -> tuple[Float[Array, "scans side side"], Float[Array, "scans side side"]]:
+    """Coordinates in the robot's frame (m) of the cells of patches.
+
+    Args:
+        corner: centre of each patch's first cell relative to the robot, m, world axes.
+        theta: heading of the robot, rad.
+        steps: from the first cell's centre to those of its row, m.
+    """
+    x = corner[:, 0, None, None] + steps[None, None, :]
+    y = corner[:, 1, None, None] + steps[None, :, None]
+    cos, sin = jnp.cos(theta)[:, None, None], jnp.sin(theta)[:, None, None]
+    return cos * x + sin * y, cos * y - sin * x
 
 
 def in_cells(metres: Float[Array | ndarray, "*n"]) -> Float[Array, "*n"]:

@@ -8,6 +8,15 @@ from echogrid import _core
 from echogrid.models.networks import surroundings
 from echogrid.models.networks.set_layers import RING_BENDS, STEP_BENDS, STEPS_M, Weights
 
+BEARINGS, RINGS, RING_M = 64, 51, 0.05
+"""The polar table of a scan: bearings round the robot, and rings of this width up to REACH_M and one beyond."""
+
+REACH_M = (RINGS - 1) * RING_M
+"""How far from the robot the network speaks."""
+
+UNDER = -2.0
+"""Log-odds of the floor under the robot."""
+
 LEAST_RAD = np.deg2rad(0.5)
 """Half of the narrowest beam width that is told apart from narrower ones."""
 
@@ -30,6 +39,11 @@ def begun(around: surroundings.Weights | None, array: Float[ndarray, "told"]) ->
     if around is None:
         return np.zeros(0, np.float32)
     return _flat(array @ around["sa"] + around["sb"])
+
+
+def ends_within(mounts: Float[ndarray, "*n sonars 3"], max_range: Float[ndarray, "sonars"] | float) -> bool:
+    """Whether the range of a sonar (m) ends within REACH_M, so that what it tells is to end there."""
+    return bool(np.nanmin(max_range - np.hypot(mounts[..., 0], mounts[..., 1])) < REACH_M)
 
 
 def sonar_array(
