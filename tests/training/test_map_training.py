@@ -12,7 +12,7 @@ from echogrid.models.networks.set_network import SetNetwork
 from echogrid.training import gradient_descent as descent
 from echogrid.training import map_training, set_training
 from echogrid.training.gradient_descent import train
-from echogrid.training.map_lessons import BEHIND, DEEP, NOTHING, MapLessons
+from echogrid.training.map_lessons import BEHIND, DEEP, GAP, NOTHING, MapLessons
 from echogrid.training.map_training import RIM, WEIGHTS, MapRecipe, map_loss
 from echogrid.training.set_lessons import Lessons
 from echogrid.training.set_training import MAPS_SHARE, SetRecipe
@@ -28,10 +28,10 @@ class StoppedError(Exception):
 def lessons_of(seed=0, count=DRIVES):
     """Maps in which walls show as looks that are for and against a surface, which the log-odds hide."""
     rng = np.random.default_rng(seed)
-    label = rng.choice([SURFACE, FREE, BEHIND, DEEP, NOTHING], (count, SIDE, SIDE)).astype(np.int8)
+    label = rng.choice([SURFACE, FREE, GAP, BEHIND, DEEP, NOTHING], (count, SIDE, SIDE)).astype(np.int8)
     told = rng.normal(0, 0.3, (count, SIDE, SIDE, surroundings.FEATURES))
     told[..., 0] += label == SURFACE
-    told[..., 1] += label == FREE
+    told[..., 1] += (label == FREE) | (label == GAP)
     return MapLessons(told.astype(np.float16), rng.random((count, surroundings.TOLD)).astype(np.float32), label)
 
 
@@ -52,7 +52,7 @@ def plain_loss(weights, lessons):
     for z, label in zip(log_odds[inner].ravel(), lessons.label[inner].ravel(), strict=True):
         if label == NOTHING:
             continue
-        aim = {SURFACE: 1.0, FREE: 0.0, BEHIND: 0.5, DEEP: 0.5}[int(label)]
+        aim = {SURFACE: 1.0, FREE: 0.0, GAP: 0.0, BEHIND: 0.5, DEEP: 0.5}[int(label)]
         total += WEIGHTS[int(label)] * (np.logaddexp(0, z) - aim * z)
         count += WEIGHTS[int(label)]
     return total / count

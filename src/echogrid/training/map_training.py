@@ -19,11 +19,11 @@ from echogrid.models.networks import surroundings
 from echogrid.models.networks.set_network import SetNetwork
 from echogrid.robot import Robot
 from echogrid.training.gradient_descent import Recipe, descend
-from echogrid.training.map_lessons import BEHIND, DEEP, MapLessons, map_lessons
+from echogrid.training.map_lessons import BEHIND, DEEP, GAP, MapLessons, map_lessons
 
-WEIGHTS = {SURFACE: 3.5, FREE: 1.0, BEHIND: 1.0, DEEP: 0.3}
-"""Of a cell in the loss, by its label. A wall that is missed costs more than floor that is; hidden cells are to stay
-at 0.5, which no error of others is worth."""
+WEIGHTS = {SURFACE: 3.5, FREE: 1.0, GAP: 4.0, BEHIND: 1.0, DEEP: 0.3}
+"""Of a cell in the loss, by its label. A wall that is missed costs more than floor that is, but for that in a door,
+which a wall that goes straight on would close; hidden cells are to stay at 0.5, which no error of others is worth."""
 
 RIM = 20
 """Cells at the rim of a lesson that are not judged: half of their surroundings is missing."""
@@ -81,7 +81,7 @@ def map_loss(weights: Any, batch: tuple, turned: Array) -> Array:
     log_odds = surroundings.corrected(weights, told, lessons.array, jnp)
     inner = np.s_[:, RIM:-RIM, RIM:-RIM]
     log_odds, label = log_odds[inner], label[inner]
-    target = jnp.where(label == SURFACE, 1.0, jnp.where(label == FREE, 0.0, 0.5))
+    target = jnp.where(label == SURFACE, 1.0, jnp.where((label == FREE) | (label == GAP), 0.0, 0.5))
     weight = sum(share * (label == kind) for kind, share in WEIGHTS.items())
     error = optax.sigmoid_binary_cross_entropy(log_odds, target)
     return jnp.sum(weight * error) / jnp.sum(weight)

@@ -66,14 +66,14 @@ class Lessons(NamedTuple):
 
 
 def random_way(
-    rng: np.random.Generator, world: World, clearance: float, frames: int = FRAMES
+    rng: np.random.Generator, world: World, clearance: float, frames: int = FRAMES, through: float = 0.8
 ) -> Float[ndarray, "frames 3"] | None:
     """So many poses from place to place through a world, at about ``clearance`` (m) from everything; None: no room.
 
     It keeps three quarters of the clearance everywhere.
 
     Frames are 2 to 50 cm apart; now and then the robot stands still or turns on the spot. The heading follows the
-    way, or keeps an angle to it, or any.
+    way, or keeps an angle to it, or any. In this share of flats, ``through``, it passes the doors.
     """
     low, high = world.bounds()
     if rng.random() < 0.5:
@@ -83,7 +83,7 @@ def random_way(
     if len(places) < 2:
         return None
     step = np.exp(rng.uniform(np.log(0.02), np.log(0.5)))
-    if world.name == "flat" and rng.random() < 0.8:
+    if world.name == "flat" and rng.random() < through:
         return _through_rooms(rng, world, clearance, step, frames)
     kind = rng.choice(["drive", "stand", "turn"], p=[0.88, 0.07, 0.05])
     if kind == "stand":
@@ -151,12 +151,12 @@ def _points_of(rng: np.random.Generator, truth: Truth, poses: Float[ndarray, "fr
     return picked(rng, truth, split)
 
 
-def drives_of(frames: int) -> Kind:
-    """Drives of so many frames."""
+def drives_of(frames: int, shape_shares: dict[str, float], through: float) -> Kind:
+    """Drives of so many frames through worlds of such shapes, in such a share of the flats through their doors."""
     return Kind(
         frames,
-        {"contour": 0.18, "room": 0.3, "corridor": 0.17, "hall": 0.1, "clutter": 0.08, "flat": 0.17},
-        partial(random_way, frames=frames),
+        shape_shares,
+        partial(random_way, frames=frames, through=through),
         _points_of,
         TRUTH_M,
         REACH_M,
@@ -164,7 +164,9 @@ def drives_of(frames: int) -> Kind:
     )
 
 
-KIND = drives_of(FRAMES)
+KIND = drives_of(
+    FRAMES, {"contour": 0.18, "room": 0.3, "corridor": 0.17, "hall": 0.1, "clutter": 0.08, "flat": 0.17}, through=0.8
+)
 """The drives."""
 
 

@@ -658,7 +658,8 @@ def test_the_map_does_not_depend_on_what_is_interpreted_together(monkeypatch):
 
 @pytest.mark.usefixtures("without_standing")
 def test_the_map_is_the_sum_of_its_views_and_each_counts_what_the_memory_says():
-    frames = wandering(12)
+    # None is completed by those before it (``Recent``).
+    frames = [replace(frame, stamp=10.0 * i) for i, frame in enumerate(wandering(12))]
     grid = map_of(frames)
     poses, ranges = (np.array(v) for v in zip(*((f.pose, f.ranges) for f in frames), strict=True))
     recalled = Memory(ROBOT.mounts).take(poses, ranges)

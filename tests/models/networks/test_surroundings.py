@@ -12,7 +12,7 @@ from echogrid.models.networks.set_layers import LOOKS
 from echogrid.models.networks.surroundings import DILATIONS, FEATURES, PACK, REACH, TOLD, corrected
 
 SIDE = 2 * REACH + 16
-ARRAY = np.array([0.3, 0.8, 0.5], dtype=np.float32)
+ARRAY = np.array([0.3, 0.8, 0.5, 0.2], dtype=np.float32)
 COMPILED = jax.jit(lambda w, told, array: corrected(w, told, array, jnp))
 
 
@@ -124,6 +124,13 @@ def test_cells_are_told_by_numbers_of_the_size_of_one():
     np.testing.assert_array_equal(told[0], 0)
     np.testing.assert_allclose(told[1, 4:], [2.0, 1.0, 1.0])
     assert 1 < told[1].max() < 5
-    near, far = (surroundings.told_of(0.4, reach, 10) for reach in (4.0, 60.0))
+    ring, fan = (
+        np.column_stack([np.zeros((n, 2)), np.linspace(-a, a, n)]) for n, a in ((10, 0.9 * np.pi), (12, 0.5))
+    )
+    near, far = (surroundings.told_of(0.4, reach, ring) for reach in (4.0, 60.0))
     np.testing.assert_array_equal(near, far)
-    assert np.all(surroundings.told_of(0.6, 2.0, 12) != near)
+    assert near[3] == pytest.approx(0, abs=1e-6)
+    other = surroundings.told_of(0.6, 2.0, np.concatenate([fan, np.full((3, 3), np.nan)]))
+    assert np.all(other != near)
+    np.testing.assert_allclose(other[2:], [0.5, np.mean(np.cos(fan[:, 2]))], rtol=1e-6)
+    assert np.all(np.isfinite(surroundings.told_of(0.6, 2.0, np.full((2, 3), np.nan))))

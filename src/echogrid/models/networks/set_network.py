@@ -318,9 +318,7 @@ class _Sums(Fusion):
     def array(self) -> Float[ndarray, "told"]:
         """What ``surroundings`` is told of the robot's sonars."""
         robot = self.robot
-        return surroundings.told_of(
-            robot.beam_width_rad, robot.max_range_m, int(np.sum(~np.isnan(robot.mounts[:, 2])))
-        )
+        return surroundings.told_of(robot.beam_width_rad, robot.max_range_m, robot.mounts)
 
 
 def _pair(values: Int[ndarray, "2"]) -> tuple[int, int]:

@@ -31,7 +31,7 @@ REACH = PACK * sum(DILATIONS)
 FEATURES = 7
 """Numbers that the stack is told of a cell."""
 
-TOLD = 3
+TOLD = 4
 """Numbers that it is told of the array."""
 
 PASSED = 4
@@ -81,9 +81,21 @@ def features(
     return xp.stack([*told, log_odds / 4, xp.log1p(looks) / np.log1p(LOOKS), covered], axis=-1)
 
 
-def told_of(beam_width: float, max_range: float, sonars: int) -> Float[ndarray, "told"]:
-    """What the stack is told of an array: beam width (rad), maximum range (m), number of sonars."""
-    return np.array([np.log(beam_width / 2 / BEAM_RAD), min(max_range, 4.0) / 4, min(sonars, 24) / 24], np.float32)
+def told_of(beam_width: float, max_range: float, mounts: Float[ndarray, "sonars 3"]) -> Float[ndarray, "told"]:
+    """What the stack is told of an array.
+
+    How wide its beams are (rad), how far they reach (m), how many there are, and whether they look all round (0) or
+    one way (1): from such an array walls beside the path look like free floor.
+
+    Args:
+        beam_width: rad.
+        max_range: m.
+        mounts: m and rad; nan: no such sonar.
+    """
+    axis = mounts[~np.isnan(mounts[:, 2]), 2]
+    one_way = abs(np.mean(np.exp(1j * axis))) if axis.size else 0.0
+    told = [np.log(beam_width / 2 / BEAM_RAD), min(max_range, 4.0) / 4, min(axis.size, 24) / 24, one_way]
+    return np.array(told, np.float32)
 
 
 def corrected(
