@@ -117,6 +117,17 @@ assert Robot.load("b21").sonars == 24
     assert loaded_after(code, log) & {"jax", "optax", "scipy", "matplotlib"} == set()
 
 
+def test_the_sample_is_mapped_by_the_set_network_without_jax(tmp_path):
+    code = """
+import sys
+from echogrid.cli import main
+sys.argv = ["echogrid", "map", "--view", "--mcap", "--out", sys.argv[1]]
+main()
+"""
+    assert loaded_after(code, tmp_path / "out") & {"jax", "jaxlib", "optax"} == set()
+    assert (tmp_path / "out" / "map.npz").exists()
+
+
 def test_every_name_that_the_package_offers_is_there():
     assert sorted(echogrid.__all__) == sorted(echogrid._HOME)
     for name in echogrid.__all__:
