@@ -28,23 +28,7 @@ constexpr size_t rows_of_a_part = 16;
 constexpr size_t squares_of_a_part = 8;
 constexpr size_t most_parts_of_a_batch = 16;
 
-template <class T>
-using Layer = nb::ndarray<T, nb::ndim<2>, nb::device::cpu>;
 using Array3 = nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
-
-size_t parts_of(size_t count, size_t each) { return (count + each - 1) / each; }
-
-template <class Array>
-void expect(const char* what, const Array& array, std::initializer_list<size_t> shape) {
-    std::string wanted;
-    bool same = true;
-    size_t i = 0;
-    for (const size_t n : shape) {
-        wanted += (i ? " x " : "") + std::to_string(n);
-        same = same && array.shape(i++) == n;
-    }
-    if (!same) refuse(std::string(what) + ": found " + shape_text(array) + ", expected " + wanted);
-}
 
 const Bearings& bearings() {
     static const Bearings all = [] {

@@ -3,6 +3,7 @@
 // AVX-512 would crash a machine without it.
 #include "kernels.hpp"
 
+#include "paper_kernel.hpp"
 #include "score_kernel.hpp"
 #include "set_array.hpp"
 #include "set_encoder.hpp"
@@ -20,4 +21,6 @@ extern "C" const echogrid::Kernels ECHOGRID_KERNELS = {
     .begin_stack = begin_stack,
     .convolve = convolve,
     .finish_cells = finish_cells,
+    .look_at_points = look_at_points,
+    .add_local_maps = add_local_maps,
 };

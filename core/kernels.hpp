@@ -1,6 +1,7 @@
 // The kernels of one set of instructions, as a table of functions: the only name that an object of kernels exports.
 #pragma once
 
+#include "paper_network.hpp"
 #include "score.hpp"
 #include "set_network.hpp"
 #include "surroundings_types.hpp"
@@ -24,6 +25,12 @@ struct Kernels {
     void (*begin_stack)(const ReadOut& r, int first, int last);
     void (*convolve)(const ReadOut& r, int layer, int first, int last);
     void (*finish_cells)(const ReadOut& r, int first, int last, float* room);
+
+    // The paper's network; see paper_kernel.hpp.
+    void (*look_at_points)(const PaperWeights& w, const PaperPoints& points, const float* ranges, float* room,
+                           float* told);
+    void (*add_local_maps)(const LocalWindow& window, const LocalRule& rule, const LocalScan* scans, int count,
+                           int first, int last);
 };
 
 }  // namespace echogrid

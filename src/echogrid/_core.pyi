@@ -141,3 +141,83 @@ class SetNetwork:
             observed: likewise: where anything is known.
             out_at: row and column of the rectangle at which they begin.
         """
+
+class PaperNetwork:
+    """The paper's network, bound to points of a robot's frame."""
+
+    def __init__(
+        self,
+        weights: Sequence[Float32[ndarray, "_"]],
+        sonars: int,
+        sonar: Int32[ndarray, "zone points"],
+        distance: Float32[ndarray, "zone points"],
+        looks: Int32[ndarray, "zone points"],
+        place: Float32[ndarray, "hidden points"],
+        prior: float,
+    ) -> None:
+        """A network.
+
+        Args:
+            weights: of the first layer those of readings and of what lies beyond, then weights and biases of the
+                others.
+            sonars: how many the robot has.
+            sonar: those that are read for each point; ``sonars``: none.
+            distance: from each to the point, m.
+            looks: -1 where it looks at the point, else 0.
+            place: what the place of the point adds to the first layer.
+            prior: probability of points at which none looks.
+        """
+
+    def look(self, ranges: Float32[ndarray, "scans sonars"]) -> Float32[ndarray, "scans points"]:
+        """Probability of each point from scans (m); where no sonar that fired looks the prior, 4 below it."""
+
+class LocalFusion:
+    """Local maps into the global one, by eq. 4 and Bayes' rule."""
+
+    def __init__(
+        self,
+        prior: float,
+        least: float,
+        most: float,
+        on_log_odds: bool,
+        footprint: float,
+        beams: Float32[ndarray, "sonars 4"] | None,
+        cone: float,
+    ) -> None:
+        """A rule.
+
+        Args:
+            prior: log-odds that each view contains and is to lose.
+            least: no view is surer, a probability; ``most`` likewise.
+            most: see ``least``.
+            on_log_odds: whether eq. 4 takes the mean of log-odds in place of probabilities.
+            footprint: radius of the robot, m.
+            beams: forward, left, axis and longest range of sonars (m, rad) that end within the local map, if any do.
+            cone: cosine of the angle off its axis at which a beam ends.
+        """
+
+    def add(
+        self,
+        told: Float32[ndarray, "scans 576"],
+        ranges: Float32[ndarray, "scans sonars"],
+        corner: Float32[ndarray, "scans 2"],
+        heading: Float64[ndarray, "scans"],
+        first: Int32[ndarray, "scans 2"],
+        cell: float,
+        log_odds: Float32[ndarray, "rows cols"],
+        observed: Bool[ndarray, "rows cols"],
+        views: Int32[ndarray, "rows cols"],
+    ) -> None:
+        """Add local maps to a window of the map, in their order; arguments as of ``PolarTables.add``.
+
+        Args:
+            told: of the local map's cells; what is not spoken of 4 below its value, on log-odds 100.
+            ranges: m; of a sonar that did not fire nan.
+            corner: centre of the first cell of each scan's patch, from the robot, world axes, m.
+            heading: of the robot, rad.
+            first: row and column of that cell in the window.
+            cell: side of a cell, m.
+            log_odds: written to, as the next two.
+            observed: where a scan spoke.
+            views: scans that spoke of each cell.
+        """

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from echogrid.errors import UsageError
 from echogrid.models.model import Model
+from echogrid.models.networks.paper_network import FORMAT, Network
 from echogrid.models.networks.set_network import FORMAT as SET_FORMAT
 from echogrid.models.networks.set_network import SetNetwork
 from echogrid.models.networks.weights import read_weights
@@ -20,13 +21,11 @@ def _set_network() -> SetNetwork:
     return replace(SetNetwork.load(str(_WEIGHTS / "set.npz")), name="set-network")
 
 
-# What follows takes long to import, and comes when it is asked for.
-
-
-def _network() -> Model:
-    from echogrid.models.networks.paper_network import Network
-
+def _network() -> Network:
     return replace(Network.load(str(_WEIGHTS / "any.npz")), name="network")
+
+
+# What follows takes long to import, and comes when it is asked for.
 
 
 def _log_odds(name: str) -> Model:
@@ -83,7 +82,5 @@ def sensor_model(name_or_weights: str | Path) -> Model:
         return MODELS[name_or_weights]()
     if not Path(name_or_weights).exists():
         raise UsageError(f"interpreter: found {name_or_weights}, expected {', '.join(MODELS)} or a weights file")
-    from echogrid.models.networks.paper_network import FORMAT, Network
-
     kinds = {SET_FORMAT: SetNetwork, FORMAT: Network}
     return kinds[str(read_weights(name_or_weights, *kinds)["format"])].load(name_or_weights)
