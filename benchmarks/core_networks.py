@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-ROUNDS, SCANS, ALONE = 7, 1536, 60
+ROUNDS, SCANS, ALONE = 5, 1536, 60
 REACH_M, CELL_M, LAYERS = 2.5, 0.04, 6
 UNITS, TOKENS, BEARINGS, RINGS = 24, 6, 64, 51
 

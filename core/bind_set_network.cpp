@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <cstring>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -138,11 +139,14 @@ class Network {
         run_parts(parts, [&](size_t part) {
             SetRobot robot = array.robot();
             for (size_t scan = part * each; scan < std::min(scans, (part + 1) * each); ++scan) {
-                if (mounts) {
-                    robot.mounts = mounts->data() + scan * sonars * 3;
+                const double* own = mounts ? mounts->data() + scan * sonars * 3 : array.robot().mounts;
+                // Most scans of a batch may have looked from the robot's mounts, to the bit.
+                const bool elsewhere = std::memcmp(own, array.robot().mounts, sonars * 3 * sizeof(double)) != 0;
+                if (elsewhere) {
+                    robot.mounts = own;
                     kernel.prepare_array(robot, bearings(), moved[part]);
                 }
-                kernel.polar_table(weights_, robot, mounts ? moved[part] : array.tables(),
+                kernel.polar_table(weights_, robot, elsewhere ? moved[part] : array.tables(),
                                    ranges.data() + scan * sonars, traits.data() + scan * TRAITS,
                                    room.get() + part * room_size, found.tables.get() + scan * TABLE,
                                    ends ? found.until.get() + scan * BEARINGS : nullptr);
