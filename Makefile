@@ -12,7 +12,7 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check --constraint con
 COMPILER := { [ -n "$$CXX" ] || command -v c++ || command -v g++ || command -v clang++; } >/dev/null
 
 .DEFAULT_GOAL := help
-.PHONY: help setup map test check format bench study paper generalise drivable peers docs mrpt weights clean
+.PHONY: help setup map test check format bench study paper generalise drivable peers docs mrpt weights builds sanitize arm clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -27,7 +27,7 @@ $(TOOLS): pyproject.toml constraints.txt
 
 $(READY): $(TOOLS) $(CORE)
 	@echo "make: installing what is missing and building the core"
-	$(PIP) --no-build-isolation --editable '.[dev]'
+	$(PIP) --no-build-isolation --editable $(if $(filter $(TOOLS),$?),'.[dev]',. --no-deps)
 	@touch $(READY)
 	@echo "make: .venv is ready; the command is .venv/bin/echogrid, or echogrid after: . .venv/bin/activate"
 
@@ -45,10 +45,12 @@ check: $(READY)  ## lint, format and types
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/ty check
+	$(BIN)/clang-format --dry-run --Werror core/*.cpp core/*.hpp
 
 format: $(READY)  ## put the code into shape
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
+	$(BIN)/clang-format -i core/*.cpp core/*.hpp
 
 bench: $(READY)  ## speed and memory (about 12 minutes; python -m benchmarks.live hour takes 8 more)
 	$(BIN)/python -m benchmarks.simulator
@@ -56,6 +58,7 @@ bench: $(READY)  ## speed and memory (about 12 minutes; python -m benchmarks.liv
 	$(BIN)/python -m benchmarks.models
 	$(BIN)/python -m benchmarks.memory
 	$(BIN)/python -m benchmarks.bags
+	$(BIN)/python -m benchmarks.core
 	$(BIN)/python -m benchmarks.live latency
 
 study: $(READY)  ## score both networks and the cone on held-out rooms (about 10 minutes)
@@ -91,6 +94,15 @@ drivable: $(READY)  ## measure whether maps can be driven on: doors, many passes
 weights: $(READY)  ## train the weights that ship (about an hour and a half on 2 cores)
 	$(BIN)/echogrid train --robot any --out src/echogrid/weights/set.npz
 	$(BIN)/echogrid train --network paper --robot any --drives 6000 --epochs 24 --out src/echogrid/weights/any.npz
+
+builds: $(READY)  ## try the builds of the core that take long: sdist, wheel, a machine without compiler (10 minutes)
+	$(BIN)/python -m pytest -n 0 tests/core/builds.py
+
+sanitize: $(READY)  ## run the tests of the core under the sanitizers of addresses and undefined behaviour (a minute)
+	PATH="$(CURDIR)/$(BIN):$$PATH" core/sanitize.sh
+
+arm: $(READY)  ## build the wheel for aarch64 with zig and run the tests of the core on it in qemu (minutes)
+	PATH="$(CURDIR)/$(BIN):$$PATH" core/arm.sh
 
 clean:  ## remove the virtual environment and everything made
 	rm -rf .venv out build dist .pytest_cache .ruff_cache .hypothesis src/echogrid/_core*.so

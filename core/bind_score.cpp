@@ -21,8 +21,8 @@ namespace {
 
 constexpr size_t poses_of_a_part = 32;
 
-// Beyond 2^29 cells an int32 could not tell the cell; nobody sees as far.
-constexpr double farthest_point_cells = 0x1p29;
+// Up to there a float32 tells where in a cell a point is, to a hundredth of it; nobody sees as far.
+constexpr double farthest_point_cells = 0x1p16;
 
 class PoseScorer {
    public:
@@ -51,13 +51,10 @@ class PoseScorer {
     NewArray<float> score(const Array2<float>& points, const Array1<float>& a, const Array2<double>& poses) const {
         const std::vector<float> padded = padded_points(points, a);
         const size_t count = padded.size() / 3;
-        const ScorePoints seen{padded.data(), padded.data() + count, padded.data() + 2 * count, count};
-        if (poses.shape(1) != 3) refuse("poses: found " + shape_text(poses) + ", expected n x 3");
+        const ScorePoints seen{padded.data(), padded.data() + count, padded.data() + 2 * count, count,
+                               reach_cells(padded)};
+        const std::vector<double> asked = checked_poses(poses);
         const size_t n = poses.shape(0);
-        for (size_t i = 0; i < 3 * n; ++i)
-            if (!std::isfinite(poses.data()[i]))
-                refuse("poses[" + std::to_string(i / 3) + "]: found " + text(poses.data()[i]) +
-                       ", expected m, m, rad");
 
         auto scores = std::make_unique<float[]>(n);
         const Kernels& kernel = kernels();
@@ -65,7 +62,7 @@ class PoseScorer {
             const nb::gil_scoped_release others_run;
             run_parts((n + poses_of_a_part - 1) / poses_of_a_part, [&](size_t part) {
                 const size_t first = part * poses_of_a_part;
-                kernel.score(map_, seen, poses.data() + 3 * first, std::min(poses_of_a_part, n - first),
+                kernel.score(map_, seen, asked.data() + 3 * first, std::min(poses_of_a_part, n - first),
                              scores.get() + first);
             });
         }
@@ -77,6 +74,16 @@ class PoseScorer {
         for (size_t i = 0; i < count; ++i)
             if (!(values[i] >= -1 && values[i] <= 1))
                 refuse(std::string(name) + ": found " + text(values[i]) + ", expected 2 p - 1 in -1 to 1");
+    }
+
+    // A copy: while others run, somebody may write to the array, and no pose that is not finite may reach a kernel.
+    static std::vector<double> checked_poses(const Array2<double>& poses) {
+        if (poses.shape(1) != 3) refuse("poses: found " + shape_text(poses) + ", expected n x 3");
+        std::vector<double> copied(poses.data(), poses.data() + 3 * poses.shape(0));
+        for (size_t i = 0; i < copied.size(); ++i)
+            if (!std::isfinite(copied[i]))
+                refuse("poses[" + std::to_string(i / 3) + "]: found " + text(copied[i]) + ", expected m, m, rad");
+        return copied;
     }
 
     // x of all points, then y, then a.
@@ -94,12 +101,21 @@ class PoseScorer {
                 const float value = points.data()[2 * i + axis];
                 if (!(std::abs(value) * map_.cells_per_m < farthest_point_cells))
                     refuse("points[" + std::to_string(i) + "]: found " + text(value) +
-                           ", expected m, at most 2^29 cells away");
+                           ", expected m, at most 2^16 cells away");
                 padded[axis * count + i] = value;
             }
             padded[2 * count + i] = a.data()[i];
         }
         return padded;
+    }
+
+    // A whole number of cells that no point lies as far away as, however it is turned.
+    int32_t reach_cells(const std::vector<float>& padded) const {
+        const size_t count = padded.size() / 3;
+        double farthest = 0;
+        for (size_t i = 0; i < count; ++i)
+            farthest = std::max(farthest, static_cast<double>(std::hypot(padded[i], padded[count + i])));
+        return static_cast<int32_t>(farthest * map_.cells_per_m) + 2;
     }
 
     std::vector<float> pairs_;

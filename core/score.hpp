@@ -22,9 +22,10 @@ struct ScoreMap {
 struct ScorePoints {
     static constexpr size_t multiple = 64;
 
-    const float *x, *y;  // m, each within 2^29 cells
+    const float *x, *y;  // m
     const float* a;      // 2 p - 1 in [-1, 1]
     size_t count;
+    int32_t reach_cells;  // no point lies as many cells away
 };
 
 }  // namespace echogrid

@@ -40,49 +40,25 @@ struct Corners {
 };
 
 #if defined(__AVX512F__)
-using Floats8 = float __attribute__((vector_size(32)));
-
-inline Floats side_by_side(Floats4 a, Floats4 b, Floats4 c, Floats4 d) {
-    const Floats8 ab = __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7);
-    const Floats8 cd = __builtin_shufflevector(c, d, 0, 1, 2, 3, 4, 5, 6, 7);
-    return __builtin_shufflevector(ab, cd, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
-}
 #define ECHOGRID_LOW 0, 16, 1, 17, 4, 20, 5, 21, 8, 24, 9, 25, 12, 28, 13, 29
 #define ECHOGRID_HIGH 2, 18, 3, 19, 6, 22, 7, 23, 10, 26, 11, 27, 14, 30, 15, 31
 #define ECHOGRID_FIRST 0, 1, 16, 17, 4, 5, 20, 21, 8, 9, 24, 25, 12, 13, 28, 29
 #define ECHOGRID_SECOND 2, 3, 18, 19, 6, 7, 22, 23, 10, 11, 26, 27, 14, 15, 30, 31
 #elif defined(__AVX__)
-inline Floats side_by_side(Floats4 a, Floats4 b) { return __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7); }
 #define ECHOGRID_LOW 0, 8, 1, 9, 4, 12, 5, 13
 #define ECHOGRID_HIGH 2, 10, 3, 11, 6, 14, 7, 15
 #define ECHOGRID_FIRST 0, 1, 8, 9, 4, 5, 12, 13
 #define ECHOGRID_SECOND 2, 3, 10, 11, 6, 7, 14, 15
 #else
-inline Floats side_by_side(Floats4 a) { return a; }
 #define ECHOGRID_LOW 0, 4, 1, 5
 #define ECHOGRID_HIGH 2, 6, 3, 7
 #define ECHOGRID_FIRST 0, 1, 4, 5
 #define ECHOGRID_SECOND 2, 3, 6, 7
 #endif
 
-// The four numbers of every fourth point, from the one at `first` on.
-inline Floats fours(const float* pairs, const int32_t* index, int first) {
-    const auto four = [&](int i) { return load4(pairs + 2 * static_cast<int64_t>(index[first + 4 * i])); };
-#if defined(__AVX512F__)
-    return side_by_side(four(0), four(1), four(2), four(3));
-#elif defined(__AVX__)
-    return side_by_side(four(0), four(1));
-#else
-    return side_by_side(four(0));
-#endif
-}
-
-// Four numbers of each point in, four vectors of a number of each point out: one load a point and a few shuffles are
-// faster than gathers, and every machine has them.
-inline Corners corners(const float* pairs, Ints index) {
-    alignas(64) int32_t at[lanes];
-    __builtin_memcpy(at, &index, sizeof index);
-    const Floats a = fours(pairs, at, 0), b = fours(pairs, at, 1), c = fours(pairs, at, 2), d = fours(pairs, at, 3);
+// Four numbers of each point in, four vectors of a number of each point out.
+inline Corners corners(const float* fours) {
+    const Floats a = load(fours), b = load(fours + lanes), c = load(fours + 2 * lanes), d = load(fours + 3 * lanes);
     const Floats ab_low = __builtin_shufflevector(a, b, ECHOGRID_LOW),
                  cd_low = __builtin_shufflevector(c, d, ECHOGRID_LOW);
     const Floats ab_high = __builtin_shufflevector(a, b, ECHOGRID_HIGH),
@@ -100,47 +76,83 @@ inline Corners corners(const float* pairs, Ints index) {
 #undef ECHOGRID_FIRST
 #undef ECHOGRID_SECOND
 
-// A coordinate in cells as a whole cell and what is left of it, in double so that a cell far out is as sharp as one
-// near.
-struct InCells {
-    int32_t cell;
-    float rest;  // [0, 1)
+// One axis of a pose in cells, as a whole cell and what is left of it: a cell far out is as sharp as one near, and a
+// float32 holds where the points are from there.
+struct Axis {
+    int32_t base;     // cell from which the points are counted, so far before the pose that no point comes before it
+    float pose;       // of the pose, from base
+    float low, high;  // first unknown cell before the map and behind it, from base
 
-    explicit InCells(double value) {
-        constexpr double far = 0x1p29;  // beyond any map
-        value = value < -far ? -far : value > far ? far : value;
+    Axis(double value, int32_t cells, int32_t reach) {
+        // Where no point reaches the map it does not matter how far it is away.
+        const double first = -2.0 * reach - 4, last = cells + 2.0 * reach + 4;
+        value = value < first ? first : value > last ? last : value;
         const double whole = __builtin_floor(value);
-        cell = static_cast<int32_t>(whole);
-        rest = static_cast<float>(value - whole);
+        base = static_cast<int32_t>(whole) - reach;
+        pose = static_cast<float>(value - whole) + static_cast<float>(reach);
+        low = static_cast<float>(-ScoreMap::before - base);
+        high = static_cast<float>(cells - base);
+        // What lies before base is no place where a point is.
+        low = low < 0.0F ? 0.0F : low;
     }
+};
+
+constexpr int in_a_row = 4;  // factors until a product might leave the range of float32
+constexpr size_t block = in_a_row * lanes;
+
+// The cells round the points of a block.
+struct Fetched {
+    Floats u[in_a_row], v[in_a_row];               // how far a point lies between two cells, 0 to 1
+    alignas(64) float fours[in_a_row][4 * lanes];  // as `corners` takes them
 };
 
 float score_pose(const ScoreMap& map, const ScorePoints& points, const double* pose) {
     // A cell is known by its centre, half a cell from its corner.
-    const InCells x0((pose[0] - map.x) * map.cells_per_m - 0.5), y0((pose[1] - map.y) * map.cells_per_m - 0.5);
+    const Axis x0((pose[0] - map.x) * map.cells_per_m - 0.5, map.cols, points.reach_cells);
+    const Axis y0((pose[1] - map.y) * map.cells_per_m - 0.5, map.rows, points.reach_cells);
     const float cosine = static_cast<float>(__builtin_cos(pose[2]) * map.cells_per_m);
     const float sine = static_cast<float>(__builtin_sin(pose[2]) * map.cells_per_m);
     const int32_t stride = map.cols + ScoreMap::cols_around;
-    const float* cell_0 = map.pairs + 2 * (static_cast<int64_t>(ScoreMap::before) * stride + ScoreMap::before);
-    constexpr size_t in_a_row = 4;  // factors until a product might leave the range of float32
-    static_assert(ScorePoints::multiple % (in_a_row * lanes) == 0);
+    const float* pairs =
+        map.pairs + 2 * (static_cast<int64_t>(y0.base + ScoreMap::before) * stride + x0.base + ScoreMap::before);
+    static_assert(ScorePoints::multiple % block == 0);
 
+    Fetched fetched[2];
     Product product;
-    for (size_t begin = 0; begin < points.count; begin += in_a_row * lanes) {
-        for (size_t i = begin; i < begin + in_a_row * lanes; i += lanes) {
-            const Floats px = load(points.x + i), py = load(points.y + i);
-            Floats x = px * cosine - py * sine + x0.rest, y = px * sine + py * cosine + y0.rest;
-            const Ints col = floor(x), row = floor(y);
-            x -= as_floats(col);
-            y -= as_floats(row);
-            const Ints index = clamp(row + y0.cell, -ScoreMap::before, map.rows) * stride +
-                               clamp(col + x0.cell, -ScoreMap::before, map.cols);
-            const Corners b = corners(cell_0, index);
-            const Floats low = b.here + x * (b.right - b.here), high = b.above + x * (b.across - b.above);
-            const Floats factor = 1.0F + load(points.a + i) * (low + y * (high - low));
+    const auto fetch = [&](size_t begin) {
+        Fetched& to = fetched[begin / block % 2];
+        for (int k = 0; k < in_a_row; ++k) {
+            const Floats px = load(points.x + begin + k * lanes), py = load(points.y + begin + k * lanes);
+            const Floats x = clamp(px * cosine - py * sine + x0.pose, x0.low, x0.high);
+            const Floats y = clamp(px * sine + py * cosine + y0.pose, y0.low, y0.high);
+            const Ints col = __builtin_convertvector(x, Ints), row = __builtin_convertvector(y, Ints);
+            to.u[k] = x - as_floats(col);
+            to.v[k] = y - as_floats(row);
+            const Ints index = row * stride + col;
+            alignas(64) int32_t at[lanes];
+            __builtin_memcpy(at, &index, sizeof index);
+            for (int i = 0; i < lanes; ++i)
+                __builtin_memcpy(&to.fours[k][i % 4 * lanes + i / 4 * 4], pairs + 2 * static_cast<int64_t>(at[i]),
+                                 16);
+        }
+    };
+    const auto blend = [&](size_t begin) {
+        const Fetched& from = fetched[begin / block % 2];
+        for (int k = 0; k < in_a_row; ++k) {
+            const Corners b = corners(from.fours[k]);
+            const Floats u = from.u[k], v = from.v[k];
+            const Floats low = b.here + u * (b.right - b.here), high = b.above + u * (b.across - b.above);
+            const Floats factor = 1.0F + load(points.a + begin + k * lanes) * (low + v * (high - low));
             product.mantissa *= factor < least_factor ? Floats{} + least_factor : factor;
         }
         product.normalise();
+    };
+    // A block is blended while the next one is on its way: what was just stored cannot be loaded in other portions at
+    // once.
+    if (points.count > 0) fetch(0);
+    for (size_t begin = 0; begin < points.count; begin += block) {
+        if (begin + block < points.count) fetch(begin + block);
+        blend(begin);
     }
     return static_cast<float>(product.logarithm());
 }

@@ -35,13 +35,13 @@ inline Block block_in(float* room, int units) {
         room += vectors * lanes;
         return begin;
     };
-    Block block{};
-    block.told = next(FEATURES * TOKENS);
-    block.hidden = next(units * TOKENS), block.hidden2 = next(units * TOKENS);
-    block.shares = next(4 * TOKENS), block.bends = next(STEP_BENDS * TOKENS);
-    block.pooled = next(2 * units), block.context = next(units);
-    block.rings = next(RING_BENDS), block.evidence = next(RINGS);
-    return block;
+    Block work{};
+    work.told = next(FEATURES * TOKENS);
+    work.hidden = next(units * TOKENS), work.hidden2 = next(units * TOKENS);
+    work.shares = next(4 * TOKENS), work.bends = next(STEP_BENDS * TOKENS);
+    work.pooled = next(2 * units), work.context = next(units);
+    work.rings = next(RING_BENDS), work.evidence = next(RINGS);
+    return work;
 }
 
 // The readings of a block of bearings.
@@ -154,64 +154,64 @@ inline void pool(const float* scores, int units, const float* hidden, const Hear
 
 // The echoes' profiles and that by distance, as bends. ``base``: what the traits add to each unit of the second
 // layer.
-inline void encode(const SetWeights& w, const float* base, const Heard& heard, const Block& block) {
+inline void encode(const SetWeights& w, const float* base, const Heard& heard, const Block& work) {
     const int h = w.units;
     dense<TOKENS>(
-        w.w1, h, FEATURES, block.told, [&](int i, int) { return all(w.b1[i]); },
+        w.w1, h, FEATURES, work.told, [&](int i, int) { return all(w.b1[i]); },
         [&](int i, int k, Floats sum) {
-            store(block.hidden + i * ROW + k * lanes, heard.fired[k] ? larger(sum, 0.0F) : Floats{});
+            store(work.hidden + i * ROW + k * lanes, heard.fired[k] ? larger(sum, 0.0F) : Floats{});
         });
-    pool(w.a1, h, block.hidden, heard, block.shares, block.pooled);
+    pool(w.a1, h, work.hidden, heard, work.shares, work.pooled);
     dense<1>(
-        w.w2p, h, 2 * h, block.pooled, [&](int i, int) { return all(base[i]); },
-        [&](int i, int, Floats sum) { store(block.context + i * lanes, sum); });
+        w.w2p, h, 2 * h, work.pooled, [&](int i, int) { return all(base[i]); },
+        [&](int i, int, Floats sum) { store(work.context + i * lanes, sum); });
     dense<TOKENS>(
-        w.w2, h, h, block.hidden, [&](int i, int) { return load(block.context + i * lanes); },
-        [&](int i, int k, Floats sum) { store(block.hidden2 + i * ROW + k * lanes, larger(sum, 0.0F)); });
-    pool(w.a2, h, block.hidden2, heard, block.shares, block.pooled);
+        w.w2, h, h, work.hidden, [&](int i, int) { return load(work.context + i * lanes); },
+        [&](int i, int k, Floats sum) { store(work.hidden2 + i * ROW + k * lanes, larger(sum, 0.0F)); });
+    pool(w.a2, h, work.hidden2, heard, work.shares, work.pooled);
     dense<TOKENS>(
-        w.steps, STEP_BENDS, h, block.hidden2, [&](int i, int) { return all(w.steps_b[i]); },
-        [&](int i, int k, Floats sum) { store(block.bends + i * ROW + k * lanes, heard.echo[k] ? sum : Floats{}); });
+        w.steps, STEP_BENDS, h, work.hidden2, [&](int i, int) { return all(w.steps_b[i]); },
+        [&](int i, int k, Floats sum) { store(work.bends + i * ROW + k * lanes, heard.echo[k] ? sum : Floats{}); });
     dense<1>(
-        w.w3, h, 2 * h, block.pooled, [&](int i, int) { return all(w.b3[i]); },
-        [&](int i, int, Floats sum) { store(block.context + i * lanes, larger(sum, 0.0F)); });
+        w.w3, h, 2 * h, work.pooled, [&](int i, int) { return all(w.b3[i]); },
+        [&](int i, int, Floats sum) { store(work.context + i * lanes, larger(sum, 0.0F)); });
     dense<1>(
-        w.rings, RING_BENDS, h, block.context, [&](int i, int) { return all(w.rings_b[i]); },
-        [&](int i, int, Floats sum) { store(block.rings + i * lanes, sum); });
+        w.rings, RING_BENDS, h, work.context, [&](int i, int) { return all(w.rings_b[i]); },
+        [&](int i, int, Floats sum) { store(work.rings + i * lanes, sum); });
 }
 
 // Sums of the profiles at the rings of a block of bearings.
-inline void sum_profiles(const SetArray& array, const Heard& heard, int b, const Block& block) {
+inline void sum_profiles(const SetArray& array, const Heard& heard, int b, const Block& work) {
     Floats rest{};
-    for (int k = 0; k < TOKENS; ++k) rest += load(block.bends + k * lanes);
+    for (int k = 0; k < TOKENS; ++k) rest += load(work.bends + k * lanes);
     for (int ring = 0; ring < RINGS; ++ring) {
         const float distance = (static_cast<float>(ring) + 0.5F) * RING_M;
-        Floats total = rest + load(block.rings);
+        Floats total = rest + load(work.rings);
         for (int i = 0; i + 1 < RING_BENDS && RINGS_M[i] < distance; ++i)
-            total += (distance - RINGS_M[i]) * load(block.rings + (i + 1) * lanes);
-        store(block.evidence + ring * lanes, total);
+            total += (distance - RINGS_M[i]) * load(work.rings + (i + 1) * lanes);
+        store(work.evidence + ring * lanes, total);
     }
     for (int k = 0; k < TOKENS; ++k) {
         if (!any(heard.echo[k])) continue;
         Floats bend[STEP_BENDS - 1];
-        for (int i = 1; i < STEP_BENDS; ++i) bend[i - 1] = load(block.bends + i * ROW + k * lanes);
+        for (int i = 1; i < STEP_BENDS; ++i) bend[i - 1] = load(work.bends + i * ROW + k * lanes);
         const Floats reading = heard.reading[k];
         for (int ring = 0; ring < RINGS; ++ring) {
             const Floats beyond = load(&array.distance[k][ring][b]) - reading;
-            Floats total = load(block.evidence + ring * lanes);
+            Floats total = load(work.evidence + ring * lanes);
 #pragma GCC unroll 16
             for (int i = 0; i < STEP_BENDS - 1; ++i) total += bend[i] * larger(beyond, STEPS_M[i]);
-            store(block.evidence + ring * lanes, total);
+            store(work.evidence + ring * lanes, total);
         }
     }
 }
 
-inline void fill_table(const SetArray& array, const SetRobot& robot, const Heard& heard, int b, const Block& block,
+inline void fill_table(const SetArray& array, const SetRobot& robot, const Heard& heard, int b, const Block& work,
                        float* table) {
     Ints fired{};
     for (int k = 0; k < TOKENS; ++k) fired |= heard.fired[k] & (1 << k);
     for (int ring = 0; ring < RINGS; ++ring) {
-        const Floats found = LIMIT * hyperbolic_tangent(load(block.evidence + ring * lanes) * (1 / LIMIT));
+        const Floats found = LIMIT * hyperbolic_tangent(load(work.evidence + ring * lanes) * (1 / LIMIT));
         const Ints looked = (loaded<Ints>(&array.looks[ring][b]) & fired) != 0;
         store(table + ring * PITCH + b, ring < robot.under ? all(UNDER) : looked ? found : Floats{});
     }
@@ -241,7 +241,7 @@ void polar_table(const SetWeights& w, const SetRobot& robot, const SetArray& arr
     const Flushing flushing;
     float* readings = room;
     float* base = readings + TOKENS * BEARINGS;
-    const Block block = block_in(base + w.units, w.units);
+    const Block work = block_in(base + w.units, w.units);
     for (int k = 0; k < TOKENS; ++k) {
         for (int b = 0; b < BEARINGS; ++b) {
             const int32_t s = array.sonar[k][b];
@@ -254,10 +254,10 @@ void polar_table(const SetWeights& w, const SetRobot& robot, const SetArray& arr
     }
     for (int b = 0; b < BEARINGS; b += lanes) {
         const Heard heard = heard_at(array, readings, b);
-        tell_features(array, robot, heard, b, block.told);
-        encode(w, base, heard, block);
-        sum_profiles(array, heard, b, block);
-        fill_table(array, robot, heard, b, block, table);
+        tell_features(array, robot, heard, b, work.told);
+        encode(w, base, heard, work);
+        sum_profiles(array, heard, b, work);
+        fill_table(array, robot, heard, b, work, table);
     }
     for (int ring = 0; ring < RINGS; ++ring) table[ring * PITCH + BEARINGS] = table[ring * PITCH];
     if (robot.ends) tell_until(array, robot, readings, until);

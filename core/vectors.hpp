@@ -16,7 +16,6 @@ constexpr int lanes = 4;
 
 using Floats = float __attribute__((vector_size(4 * lanes)));
 using Ints = int32_t __attribute__((vector_size(4 * lanes)));
-using Floats4 = float __attribute__((vector_size(16)));
 
 inline Floats load(const float* from) {
     Floats value;
@@ -24,22 +23,10 @@ inline Floats load(const float* from) {
     return value;
 }
 
-inline Floats4 load4(const float* from) {
-    Floats4 value;
-    __builtin_memcpy(&value, from, sizeof value);
-    return value;
-}
-
 inline Floats as_floats(Ints value) { return __builtin_convertvector(value, Floats); }
 
-// Whole numbers at or below; only for what an int32 holds.
-inline Ints floor(Floats value) {
-    const Ints cut = __builtin_convertvector(value, Ints);
-    return cut + (as_floats(cut) > value);  // true is -1
-}
-
-inline Ints clamp(Ints value, int32_t low, int32_t high) {
-    const Ints least = Ints{} + low, most = Ints{} + high;
+inline Floats clamp(Floats value, float low, float high) {
+    const Floats least = Floats{} + low, most = Floats{} + high;
     value = value < least ? least : value;
     return value > most ? most : value;
 }

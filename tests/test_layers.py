@@ -12,7 +12,8 @@ PACKAGE = Path(echogrid.__file__).parent
 
 # The rooms along the way of the data. A room imports only from rooms before it, a module only from modules before it.
 PLAN = {
-    "": "errors geometry temporary files packed npz yaml_keys limits robot stillness doubts frame track grid metrics",
+    "": "errors _core geometry temporary files packed npz yaml_keys limits robot stillness doubts frame track grid "
+    "metrics",
     "simulation": "regions targets world beam_patterns acoustics rooms drive echo simulate",
     "ros": "rigid transforms sonars gathering messages",
     "bags": "unpacking ros1_stream message_types bag_file events topics clocks survey units floor mounts "
@@ -34,7 +35,9 @@ ORDER = [f"{room}.{name}".strip(".") for room, names in PLAN.items() for name in
 
 
 def modules():
-    for path in sorted(PACKAGE.rglob("*.py")):
+    for path in sorted(PACKAGE.rglob("*.py*")):  # of the compiled core its stub
+        if path.suffix not in (".py", ".pyi"):
+            continue
         name = ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix("__init__").rstrip(".")
         if name:
             yield name, ast.parse(path.read_text(encoding="utf-8"))
@@ -51,8 +54,7 @@ def imported(tree):
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "imports name the package"
             if node.module == "echogrid":
-                names = (name.name for name in node.names)
-                yield from (f"echogrid.{name}" for name in names if name not in ("__version__", "_core"))
+                yield from (f"echogrid.{name.name}" for name in node.names if name.name != "__version__")
             elif node.module and node.module.startswith("echogrid."):
                 submodules = [f"{node.module}.{name.name}" for name in node.names]
                 below = [name for name in submodules if name.removeprefix("echogrid.") in TREES]
