@@ -37,5 +37,7 @@ NB_MODULE(_core, module) {
     module.def("threads", &echogrid::threads);
     module.def("set_threads", &echogrid::checked_set_threads, nb::arg("count"));
     echogrid::bind_score(module);
+    echogrid::bind_paper_network(module);
+    echogrid::bind_set_network(module);
     echogrid::bind_cost_to_go(module);
 }

@@ -21,7 +21,8 @@ PLAN = {
     "logs": "lines rows csv_header csv_log carmen formats contents",
     "models": "batches model",
     "models.classical": "beam sweep log_odds calculi forward_model",
-    "models.networks": "weights memory set_layers surroundings polar_map set_network local_map paper_network",
+    "models.networks": "weights memory set_layers set_encoder surroundings set_core set_network local_map "
+    "paper_network paper_layers",
     "mapping": "registry intake mapper build",
     "training": "drives gradient_descent paper_examples paper_training set_lessons map_lessons map_training "
     "set_training",
@@ -116,6 +117,18 @@ assert describe(load_log(sys.argv[1])).frames == 2
 assert Robot.load("b21").sonars == 24
 """
     assert loaded_after(code, log) & {"jax", "optax", "scipy", "matplotlib"} == set()
+
+
+@pytest.mark.parametrize("network", ["set-network", "network"])
+def test_the_sample_is_mapped_by_the_networks_without_jax(tmp_path, network):
+    code = """
+import sys
+from echogrid.cli import main
+sys.argv = ["echogrid", "map", "--view", "--mcap", "--interpreter", sys.argv[2], "--out", sys.argv[1]]
+main()
+"""
+    assert loaded_after(code, tmp_path / "out", network) & {"jax", "jaxlib", "optax"} == set()
+    assert (tmp_path / "out" / "map.npz").exists()
 
 
 def test_every_name_that_the_package_offers_is_there():

@@ -19,7 +19,6 @@ from dataclasses import astuple, dataclass, fields, replace
 from unittest.mock import patch
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
@@ -29,7 +28,6 @@ from echogrid.grid import Grid
 from echogrid.mapping.registry import sensor_model
 from echogrid.metrics import Scores, score
 from echogrid.models.networks import local_map
-from echogrid.models.networks.local_map import LocalMap, resample
 from echogrid.models.networks.paper_network import Network
 from echogrid.simulation.drive import truth_of
 from echogrid.training import paper_training
@@ -122,19 +120,12 @@ def trained() -> list[Network]:
     return [networks[variant.recipe, variant.even_shares] for variant in VARIANTS]
 
 
-def resample_log_odds(local: LocalMap, x: jax.Array, y: jax.Array) -> jax.Array:
-    """Eq. 4 on log-odds. ``resample`` is linear, so they go through it as shares of their range."""
-    z = jnp.log(local.probability) - jnp.log1p(-local.probability)
-    share = resample(local._replace(probability=(z / LEVEL + 1) / 2), x, y)
-    return jax.nn.sigmoid(LEVEL * (2 * share - 1))
-
-
 def map_of(drive: list, robot: Robot, variant: Variant, network: Network) -> Grid:
     """The map of a drive by a variant."""
     if variant.prior_left_in:
         # To the mapper 0.5 is the prior of which nothing is left to subtract.
         network = replace(network, prior=0.5)
-    with patch.object(local_map, "resample", resample_log_odds if variant.on_log_odds else resample):
+    with patch.object(local_map, "ON_LOG_ODDS", variant.on_log_odds):
         *_, grid = build_map(drive, robot, network, RESOLUTION)
     return grid
 

@@ -4,7 +4,9 @@ Arrays of another type than is named are converted, those of whole numbers apart
 threads of Python run.
 """
 
-from jaxtyping import Float, Float32, Float64, Int64
+from collections.abc import Sequence
+
+from jaxtyping import Bool, Float, Float32, Float64, Int32, Int64
 from numpy import ndarray
 
 def instructions() -> str:
@@ -75,3 +77,200 @@ def cost_to_go(
     Raises:
         UsageError: a cost is negative or nan, a goal lies outside, or the map has 2^31 cells.
     """
+
+class SonarArray:
+    """An array of sonars, and what it fixes of the set network's polar table."""
+
+    def __init__(
+        self,
+        mounts: Float64[ndarray, "sonars 3"],
+        max_range: Float32[ndarray, "sonars"],
+        footprint: float,
+        half_beam: float,
+        ends: bool,
+    ) -> None:
+        """An array.
+
+        Args:
+            mounts: forward and left, m, and axis, rad, of each; nan: no such sonar.
+            max_range: of each, m.
+            footprint: radius of the robot, m.
+            half_beam: half the beam width, rad.
+            ends: whether what a sonar tells ends at its range.
+
+        Raises:
+            UsageError: arrays of other shapes, or no beam.
+        """
+
+class PolarTables:
+    """What scans tell of bearings and rings round the robot."""
+
+    def values(self) -> Float32[ndarray, "scans 64 51"]:
+        """Log-odds at bearings and rings, a copy; 0 where no sonar that fired looks."""
+
+    def told_until(self) -> Float32[ndarray, "scans 64"]:
+        """How far from the robot's middle scans tell, from each bearing to the next, m; a copy."""
+
+    def at(
+        self, x: Float32[ndarray, "scans points"], y: Float32[ndarray, "scans points"]
+    ) -> Float32[ndarray, "scans points"]:
+        """What each scan tells of points in the robot's frame (m), log-odds; 0 = nothing, as beyond 2.5 m."""
+
+    def add(
+        self,
+        corner: Float32[ndarray, "scans 2"],
+        heading: Float64[ndarray, "scans"],
+        first: Int32[ndarray, "scans 2"],
+        weight: Float32[ndarray, "scans"],
+        cell: float,
+        sums: Sequence[Float32[ndarray, "rows cols"]],
+        views: Int32[ndarray, "rows cols"],
+    ) -> None:
+        """Add scans to a window of the map, in their order.
+
+        Args:
+            corner: centre of the first cell of each scan's patch, from the robot, world axes, m.
+            heading: of the robot, rad.
+            first: row and column of that cell in the window.
+            weight: what each scan counts; of those that count nothing nothing is added.
+            cell: side of a cell, m.
+            sums: evidence for a surface and against it, the same of its squares, looks. Written to, as ``views``;
+                views of larger arrays, all of the same strides.
+            views: scans that spoke of each cell.
+
+        Raises:
+            UsageError: arrays of other shapes, a window of fewer than 16 columns.
+        """
+
+class SetNetwork:
+    """The set network with its weights. Calls run side by side where other threads hold no lock of Python's."""
+
+    def __init__(self, weights: Float32[ndarray, "n"], units: int) -> None:
+        """A network of so many units, its weights one after the other, see core/set_network.hpp."""
+
+    def surround(self, parts: Sequence[Float32[ndarray, "_"]], units: int, passed: int, cell_units: int) -> None:
+        """Let cells be read with their surroundings: weights of the stack, see core/surroundings_types.hpp."""
+
+    def tables(
+        self,
+        array: SonarArray,
+        ranges: Float32[ndarray, "scans sonars"],
+        traits: Float32[ndarray, "scans 4"],
+        mounts: Float64[ndarray, "scans sonars 3"] | None = None,
+    ) -> PolarTables:
+        """What scans tell.
+
+        Args:
+            array: of the robot.
+            ranges: m; inf: no echo, nan: not fired.
+            traits: of the surroundings, see ``Memory``.
+            mounts: from where the sonars of each scan looked; None: as in the array.
+        """
+
+    def read_out(
+        self,
+        held: Sequence[Float32[ndarray, "rows cols"]],
+        held_at: tuple[int, int],
+        squares: tuple[int, int],
+        begin: Float32[ndarray, "units"],
+        faded: float,
+        least: float,
+        stood: float,
+        log_odds: Float32[ndarray, "out_rows out_cols"],
+        observed: Bool[ndarray, "out_rows out_cols"],
+        out_at: tuple[int, int],
+    ) -> None:
+        """Read out cells of a rectangle, whose first cell has even indices in the world.
+
+        Args:
+            held: sums as of ``PolarTables.add``, and where the robot stood; nothing is known of the others.
+            held_at: row and column of the rectangle at which they begin.
+            squares: rows and columns of the rectangle, in squares of 2 x 2 cells.
+            begin: what the robot's sonars add to the first layer of the surroundings.
+            faded: what evidence has come to count.
+            least: evidence that counts no more than this is none.
+            stood: log-odds, at most, of floor on which the robot has stood.
+            log_odds: written to.
+            observed: likewise: where anything is known.
+            out_at: row and column of the rectangle at which they begin.
+        """
+
+class PaperNetwork:
+    """The paper's network, bound to points of a robot's frame."""
+
+    def __init__(
+        self,
+        weights: Sequence[Float32[ndarray, "_"]],
+        sonars: int,
+        sonar: Int32[ndarray, "zone points"],
+        distance: Float32[ndarray, "zone points"],
+        looks: Int32[ndarray, "zone points"],
+        place: Float32[ndarray, "hidden points"],
+        prior: float,
+    ) -> None:
+        """A network.
+
+        Args:
+            weights: of the first layer those of readings and of what lies beyond, then weights and biases of the
+                others.
+            sonars: how many the robot has.
+            sonar: those that are read for each point; ``sonars``: none.
+            distance: from each to the point, m.
+            looks: -1 where it looks at the point, else 0.
+            place: what the place of the point adds to the first layer.
+            prior: probability of points at which none looks.
+        """
+
+    def look(self, ranges: Float32[ndarray, "scans sonars"]) -> Float32[ndarray, "scans points"]:
+        """Probability of each point from scans (m); where no sonar that fired looks the prior, 4 below it."""
+
+class LocalFusion:
+    """Local maps into the global one, by eq. 4 and Bayes' rule."""
+
+    def __init__(
+        self,
+        prior: float,
+        least: float,
+        most: float,
+        on_log_odds: bool,
+        footprint: float,
+        beams: Float32[ndarray, "sonars 4"] | None,
+        cone: float,
+    ) -> None:
+        """A rule.
+
+        Args:
+            prior: log-odds that each view contains and is to lose.
+            least: no view is surer, a probability; ``most`` likewise.
+            most: see ``least``.
+            on_log_odds: whether eq. 4 takes the mean of log-odds in place of probabilities.
+            footprint: radius of the robot, m.
+            beams: forward, left, axis and longest range of sonars (m, rad) that end within the local map, if any do.
+            cone: cosine of the angle off its axis at which a beam ends.
+        """
+
+    def add(
+        self,
+        told: Float32[ndarray, "scans 576"],
+        ranges: Float32[ndarray, "scans sonars"],
+        corner: Float32[ndarray, "scans 2"],
+        heading: Float64[ndarray, "scans"],
+        first: Int32[ndarray, "scans 2"],
+        cell: float,
+        log_odds: Float32[ndarray, "rows cols"],
+        observed: Bool[ndarray, "rows cols"],
+        views: Int32[ndarray, "rows cols"],
+    ) -> None:
+        """Add local maps to a window of the map, in their order; arguments as of ``PolarTables.add``.
+
+        Args:
+            told: of the local map's cells; what is not spoken of 4 below its value, on log-odds 100.
+            ranges: m; of a sonar that did not fire nan.
+            corner: centre of the first cell of each scan's patch, from the robot, world axes, m.
+            heading: of the robot, rad.
+            first: row and column of that cell in the window.
+            cell: side of a cell, m.
+            log_odds: written to, as the next two.
+            observed: where a scan spoke.
+            views: scans that spoke of each cell.
+        """

@@ -12,7 +12,6 @@ from echogrid.grid import Grid
 from echogrid.mapping.mapper import Mapper
 from echogrid.mapping.registry import sensor_model
 from echogrid.models.networks import set_network
-from echogrid.models.networks.polar_map import array_of, asked, moved
 from echogrid.models.networks.set_layers import LOOKS
 from echogrid.models.networks.set_network import FORGOTTEN, SUMS, SetNetwork
 from echogrid.simulation.simulate import Simulator
@@ -234,16 +233,8 @@ def test_a_person_walks_through_and_is_gone():
 
 
 def test_sonars_that_looked_from_the_mounts_of_the_robot_say_what_they_always_say():
-    fixed = array_of(B21.mounts, B21.max_ranges_m, B21.footprint_radius_m, B21.beam_width_rad, ends=True)
-    for name, value in moved(fixed, B21.mounts.astype(np.float32), asked(B21.mounts))._asdict().items():
-        there = fixed.sonar[:, :, None] >= 0 if name == "distance" else True
-        if name == "looks":
-            assert np.mean(np.asarray(value) != fixed.looks) < 1e-3  # at the very edge rounding decides
-        else:
-            apart = np.asarray(value, dtype=float) - np.asarray(getattr(fixed, name), dtype=float)
-            assert np.max(np.abs(np.where(there, apart, 0))) < 1e-5, name
     same = mapped([scan(0.0, mounts=B21.mounts)])
-    np.testing.assert_allclose(near(same)[0], near(mapped([scan(0.0)]))[0], atol=0.02)
+    np.testing.assert_allclose(near(same)[0], near(mapped([scan(0.0)]))[0], atol=1e-5)
 
 
 def turned(pose):

@@ -10,7 +10,8 @@ from echogrid.errors import UsageError
 from echogrid.metrics import FREE, HIDDEN, SURFACE
 from echogrid.models.model import LOOK_RAD
 from echogrid.models.networks.local_map import LOCAL_CELLS
-from echogrid.models.networks.paper_network import LIMIT, Network, forward, inputs
+from echogrid.models.networks.paper_layers import forward, surrounding
+from echogrid.models.networks.paper_network import LIMIT, Network, inputs
 from echogrid.robot import Robot
 from echogrid.simulation.drive import truth_of
 from echogrid.simulation.rooms import SHAPES, random_world
@@ -437,3 +438,15 @@ def test_surface_points_of_examples_lie_on_surfaces_of_the_truth():
     row, col = np.argwhere(truth.cells == SURFACE).T
     centre = (np.column_stack([col, row]) + 0.5) * 0.12 + truth.origin
     assert np.all(world.clearance(centre) < 0.12 * np.sqrt(0.5) + 0.01)
+
+
+def test_the_four_cells_surround_the_point_and_their_weights_sum_to_1():
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0, 23, (2, 200)).astype(np.float32)
+    cells, weights, inside = surrounding(jnp.asarray(x), jnp.asarray(y))
+    assert np.all(inside)
+    np.testing.assert_allclose(np.sum(weights, axis=0), 1, atol=1e-6)
+    for cell in cells:
+        row, col = np.divmod(np.asarray(cell), 24)
+        assert np.all((np.abs(col - x) <= 1) & (np.abs(row - y) <= 1))
+    assert np.all(np.sort(cells, axis=0)[1:] > np.sort(cells, axis=0)[:-1])

@@ -2,13 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from importlib import resources
 from pathlib import Path
 
 from echogrid.errors import UsageError
-from echogrid.models.classical.calculi import DempsterShafer, Fuzzy, Himm, MoravecElfes
-from echogrid.models.classical.forward_model import ForwardModel
-from echogrid.models.classical.log_odds import Cone, ConeNoEcho, Elfes, LimCho, Muriel, Nav2, Nav2Clearing, Nav2Tuned
 from echogrid.models.model import Model
 from echogrid.models.networks.paper_network import FORMAT, Network
 from echogrid.models.networks.set_network import FORMAT as SET_FORMAT
@@ -27,22 +25,43 @@ def _network() -> Network:
     return replace(Network.load(str(_WEIGHTS / "any.npz")), name="network")
 
 
+# What follows takes long to import, and comes when it is asked for.
+
+
+def _log_odds(name: str) -> Model:
+    from echogrid.models.classical import log_odds
+
+    return getattr(log_odds, name)()
+
+
+def _calculus(name: str) -> Model:
+    from echogrid.models.classical import calculi
+
+    return getattr(calculi, name)()
+
+
+def _forward_model() -> Model:
+    from echogrid.models.classical.forward_model import ForwardModel
+
+    return ForwardModel()
+
+
 MODELS: dict[str, Callable[[], Model]] = {
     "set-network": _set_network,
     "network": _network,
-    "cone": Cone,
-    "cone-no-echo": ConeNoEcho,
-    "moravec-elfes": MoravecElfes,
-    "elfes": Elfes,
-    "nav2": Nav2,
-    "nav2-clearing": Nav2Clearing,
-    "nav2-tuned": Nav2Tuned,
-    "himm": Himm,
-    "muriel": Muriel,
-    "dempster-shafer": DempsterShafer,
-    "fuzzy": Fuzzy,
-    "lim-cho": LimCho,
-    "em": ForwardModel,
+    "cone": partial(_log_odds, "Cone"),
+    "cone-no-echo": partial(_log_odds, "ConeNoEcho"),
+    "moravec-elfes": partial(_calculus, "MoravecElfes"),
+    "elfes": partial(_log_odds, "Elfes"),
+    "nav2": partial(_log_odds, "Nav2"),
+    "nav2-clearing": partial(_log_odds, "Nav2Clearing"),
+    "nav2-tuned": partial(_log_odds, "Nav2Tuned"),
+    "himm": partial(_calculus, "Himm"),
+    "muriel": partial(_log_odds, "Muriel"),
+    "dempster-shafer": partial(_calculus, "DempsterShafer"),
+    "fuzzy": partial(_calculus, "Fuzzy"),
+    "lim-cho": partial(_log_odds, "LimCho"),
+    "em": _forward_model,
 }
 """Models by name, the default first; the networks have the weights that ship with the package."""
 

@@ -3,9 +3,8 @@
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from echogrid.frame import Frame
@@ -40,22 +39,6 @@ def placed(batch: Sequence[Frame], size: int, side: int, resolution: float) -> P
     corner = ((first + 0.5) * resolution - poses[:, :2]).astype(np.float32)
     theta = np.mod(poses[:, 2], 2 * np.pi).astype(np.float32)
     return Placed(ranges.astype(np.float32), first[:, ::-1], corner, theta)
-
-
-def in_robot(
-    corner: Float[Array, "scans 2"], theta: Float[Array, "scans"], steps: Float[Array, "side"]
-) -> tuple[Float[Array, "scans side side"], Float[Array, "scans side side"]]:
-    """Coordinates in the robot's frame (m) of the cells of patches.
-
-    Args:
-        corner: centre of each patch's first cell relative to the robot, m, world axes.
-        theta: heading of the robot, rad.
-        steps: from the first cell's centre to those of its row, m.
-    """
-    x = corner[:, 0, None, None] + steps[None, None, :]
-    y = corner[:, 1, None, None] + steps[None, :, None]
-    cos, sin = jnp.cos(theta)[:, None, None], jnp.sin(theta)[:, None, None]
-    return cos * x + sin * y, cos * y - sin * x
 
 
 def near_each_other(frames: Iterable[Frame], span_s: float = np.inf) -> Iterator[list[Frame]]:

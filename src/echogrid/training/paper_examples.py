@@ -106,7 +106,7 @@ KIND = Kind(
 def _views(rng: np.random.Generator, drive: Drive, zone: Zone, ranges: Float[ndarray, "frames sonars"]) -> Examples:
     """The looks at each point of a drive from frames whose local map holds it."""
     T_robot_world = inverse(drive.believed)
-    at = np.asarray(in_cells(transform(T_robot_world[None], drive.points[:, None])))
+    at = in_cells(transform(T_robot_world[None], drive.points[:, None]))
     held = np.all((at > 0) & (at < LOCAL_CELLS - 1), axis=-1)
     # A random choice of the frames that hold the point comes first.
     order = np.argsort(np.where(held, rng.random(held.shape), 2.0), axis=1)[:, :VIEWS]

@@ -19,8 +19,8 @@ from numpy import ndarray
 
 from echogrid.grid import logit
 from echogrid.metrics import FREE, HIDDEN, SURFACE
-from echogrid.models.networks.local_map import surrounding
-from echogrid.models.networks.paper_network import ZONE, Layers, Network, inputs, look
+from echogrid.models.networks.paper_layers import look, surrounding
+from echogrid.models.networks.paper_network import ZONE, Layers, Network, inputs
 from echogrid.robot import Robot
 from echogrid.training.gradient_descent import Recipe, descend
 from echogrid.training.paper_examples import POINTS, Examples, generate

@@ -17,18 +17,8 @@ from numpy import ndarray
 
 from echogrid.metrics import FREE, SURFACE
 from echogrid.models.model import LOOK_RAD
-from echogrid.models.networks.set_layers import (
-    HIDDEN_UNITS,
-    Tokens,
-    Weights,
-    along,
-    encode,
-    evidence,
-    fused,
-    initial,
-    nearest,
-    saturated,
-)
+from echogrid.models.networks.set_encoder import Tokens, along, encode, evidence
+from echogrid.models.networks.set_layers import HIDDEN_UNITS, Weights, fused, initial, nearest, saturated
 from echogrid.models.networks.set_network import SetNetwork
 from echogrid.robot import Robot
 from echogrid.training.gradient_descent import Recipe, descend
@@ -158,7 +148,7 @@ def map_loss(weights: Weights, batch: tuple, key: Array) -> Array:
     there = spoken & (drawn >= 0)
     occupied, free = jnp.maximum(found, 0.0), jnp.maximum(-found, 0.0)
     sums = [scale * jnp.sum(count * each, axis=-1) for each in (occupied, free, occupied**2, free**2, there)]
-    log_odds = fused(weights, *saturated(sums[4], *sums[:4]))
+    log_odds = fused(weights, *saturated(sums[4], *sums[:4], xp=jnp), xp=jnp)
     seen = jnp.any(there, axis=-1)
     target = jnp.where(drives.label == SURFACE, 1.0, jnp.where(drives.label == FREE, 0.0, 0.5))
     weight = np.repeat(

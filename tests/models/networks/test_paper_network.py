@@ -15,17 +15,14 @@ from echogrid.errors import EchogridError, InputError, UsageError
 from echogrid.geometry import wrap
 from echogrid.models.model import LOOK_RAD
 from echogrid.models.networks.local_map import local_cells
+from echogrid.models.networks.paper_layers import beyond_features, forward, look, reading_features
 from echogrid.models.networks.paper_network import (
     LIMIT,
     MOST_ZONE,
     Layers,
     Network,
-    beyond_features,
-    forward,
     inputs,
-    look,
     place_features,
-    reading_features,
     zone_of,
 )
 from echogrid.robot import Robot, parse_robot
@@ -142,7 +139,7 @@ def test_the_perceptron_is_its_matrices():
 def test_the_bound_network_says_what_a_look_at_plain_features_says(robot, seed, size):
     network, points = random_network(seed, zone=size), local_cells()
     ranges = random_scans(robot.sonars, seed=seed)
-    p, spoken = network.bind(robot, points)(jnp.asarray(ranges))
+    p, spoken = network.bind(robot, points)(ranges)
     zone = zone_of(robot.mounts, points, size)
     with_missing = np.pad(ranges, [(0, 0), (0, 1)], constant_values=nan)
     reading = with_missing[:, zone.sonar]
@@ -156,7 +153,7 @@ def test_the_bound_network_says_what_a_look_at_plain_features_says(robot, seed, 
 @pytest.mark.parametrize("robot", [B21, P3DX, TRIO], ids=lambda robot: robot.name)
 def test_a_scan_in_which_no_sonar_fired_says_nothing(robot):
     model = random_network()
-    p, spoken = model.bind(robot, local_cells())(jnp.full((6, robot.sonars), nan))
+    p, spoken = model.bind(robot, local_cells())(np.full((6, robot.sonars), nan, np.float32))
     assert not np.any(spoken)
     np.testing.assert_allclose(p, model.prior, atol=1e-7)
 
@@ -165,7 +162,7 @@ def test_a_scan_in_which_no_sonar_fired_says_nothing(robot):
 def test_points_that_no_sonar_looks_at_keep_the_prior(robot):
     model, points = random_network(), local_cells()
     blind = np.array([np.abs(off_axes(robot.mounts, point)).min() > LOOK_RAD for point in points])
-    p, spoken = (np.asarray(v) for v in model.bind(robot, points)(jnp.asarray(random_scans(robot.sonars))))
+    p, spoken = (np.asarray(v) for v in model.bind(robot, points)(random_scans(robot.sonars)))
     assert blind.any()
     assert not np.any(spoken[:, blind])
     np.testing.assert_allclose(p[:, blind], model.prior, atol=1e-7)
@@ -177,7 +174,7 @@ def test_the_network_speaks_where_a_sonar_that_fired_looks_and_only_there():
     points = local_cells()
     ranges = np.full((1, 24), nan, dtype=np.float32)
     ranges[0, 5] = inf
-    _, spoken = random_network().bind(B21, points)(jnp.asarray(ranges))
+    _, spoken = random_network().bind(B21, points)(ranges)
     off = np.array([off_axes(B21.mounts, point)[5] for point in points])
     in_zone = np.any(zone_of(B21.mounts, points).sonar == 5, axis=1)
     np.testing.assert_array_equal(spoken[0], (np.abs(off) <= LOOK_RAD) & in_zone)
@@ -186,8 +183,8 @@ def test_the_network_speaks_where_a_sonar_that_fired_looks_and_only_there():
 def test_each_scan_is_interpreted_by_itself():
     ranges = random_scans(24)
     ask = random_network().bind(B21, local_cells())
-    p, spoken = ask(jnp.asarray(ranges))
-    turned = ask(jnp.asarray(ranges[::-1]))
+    p, spoken = ask(ranges)
+    turned = ask(ranges[::-1])
     np.testing.assert_allclose(turned[0][::-1], p, atol=1e-6)
     np.testing.assert_array_equal(turned[1][::-1], spoken)
 
@@ -195,7 +192,7 @@ def test_each_scan_is_interpreted_by_itself():
 def test_no_look_is_more_certain_than_the_limit():
     network = random_network()
     loud = [(w * 100, b) for w, b in network.layers]
-    p, _ = Network(loud, 0.2, {}).bind(B21, local_cells())(jnp.asarray(random_scans(24)))
+    p, _ = Network(loud, 0.2, {}).bind(B21, local_cells())(random_scans(24))
     assert np.min(p) >= 1 / (1 + np.exp(LIMIT)) - 1e-6
     assert np.max(p) <= 1 / (1 + np.exp(-LIMIT)) + 1e-6
     assert np.max(p) > 0.95

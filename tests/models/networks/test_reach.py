@@ -4,7 +4,6 @@ from dataclasses import replace
 from functools import cache
 from math import inf, nan, pi
 
-import jax
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,22 +15,21 @@ from echogrid.geometry import compose, wrap
 from echogrid.mapping.build import build_map
 from echogrid.mapping.mapper import Mapper
 from echogrid.mapping.registry import sensor_model
-from echogrid.models.networks.polar_map import BEARINGS, REACH_M, RING_M, array_of, ends_within, moved_view, view
-from echogrid.models.networks.polar_map import asked as asked_for
+from echogrid.models.networks import set_core
+from echogrid.models.networks.set_core import BEARINGS, REACH_M, RING_M, ends_within
 from echogrid.models.networks.set_layers import initial
 from echogrid.robot import Robot, preset_names
 
 B21 = Robot.load("b21")
 SCANS, MOST, POINTS, FOOTPRINT_M, BEAM_RAD = 3, 10, 4000, 0.1, 0.4
-SEEN, SEEN_MOVED = jax.jit(view), jax.jit(moved_view)
 
 
 @cache
 def talkative():
-    """Weights of a network that has something to say of every point."""
+    """A network that has something to say of every point."""
     rng = np.random.default_rng(5)
     weights = {name: value + rng.normal(0, 0.3, value.shape) for name, value in initial(rng, 8).items()}
-    return {name: value.astype(np.float32) for name, value in weights.items()}
+    return set_core.network(weights, None)
 
 
 def drawn(seed, sonars, least):
@@ -46,24 +44,17 @@ def drawn(seed, sonars, least):
     return mounts, longest, ranges
 
 
-def filled(values, rows):
-    return np.pad(values, [(0, rows - len(values)), *[(0, 0)] * (values.ndim - 1)], constant_values=nan)
-
-
 def told(mounts, longest, ranges, points, moved):
-    """Evidence of each scan for points [n, 2], with sonars that are not there so that one compilation serves all."""
-    mounts, ranges = filled(mounts, MOST), filled(ranges.T, MOST).T.astype(np.float32)
-    longest = np.pad(longest, (0, MOST - len(longest)), constant_values=9.0)
-    x, y = (np.broadcast_to(v.astype(np.float32), (SCANS, len(points))) for v in points.T)
+    """Evidence of each scan for points [n, 2]."""
+    elsewhere = mounts + np.array([0.2, -0.1, 1.0]) if moved else mounts
+    array = set_core.sonar_array(elsewhere, longest, FOOTPRINT_M, BEAM_RAD, True)
+    return seen(array, ranges, points, np.tile(mounts, (SCANS, 1, 1)) if moved else None)
+
+
+def seen(array, ranges, points, mounts=None):
+    x, y = (np.tile(v.astype(np.float32), (SCANS, 1)) for v in points.T)
     traits = np.full((SCANS, 4), 0.4, np.float32)
-    if not moved:
-        return np.asarray(
-            SEEN(talkative(), array_of(mounts, longest, FOOTPRINT_M, BEAM_RAD, True), ranges, traits, x, y)
-        )
-    elsewhere = array_of(mounts + np.array([0.2, -0.1, 1.0]), longest, FOOTPRINT_M, BEAM_RAD, True)
-    each = np.tile(mounts, (SCANS, 1, 1))
-    looked = each.astype(np.float32), asked_for(each)
-    return np.asarray(SEEN_MOVED(talkative(), elsewhere, ranges, traits, x, y, *looked))
+    return talkative().tables(array, ranges.astype(np.float32), traits, mounts).at(x, y)
 
 
 def scattered(seed):
@@ -128,13 +119,8 @@ def test_within_range_and_cone_something_is_told(array):
 def test_ranges_past_the_local_map_change_nothing():
     points = scattered(1)
     mounts, _, ranges = drawn(3, 8, least=0.0)
-    mounts, ranges = filled(mounts, MOST), filled(ranges.T, MOST).T.astype(np.float32)
-    x, y = (np.broadcast_to(v.astype(np.float32), (SCANS, POINTS)) for v in points.T)
-    free, bound = (array_of(mounts, 3.5, FOOTPRINT_M, BEAM_RAD, ends) for ends in (False, True))
-    assert free.ends is None
-    assert bound.ends is not None
-    traits = np.full((SCANS, 4), 0.4, np.float32)
-    alike, same = (np.asarray(SEEN(talkative(), array, ranges, traits, x, y)) for array in (free, bound))
+    arrays = (set_core.sonar_array(mounts, 3.5, FOOTPRINT_M, BEAM_RAD, ends) for ends in (False, True))
+    alike, same = (seen(array, ranges, points) for array in arrays)
     np.testing.assert_allclose(alike, same, atol=1e-5)
 
 

@@ -15,26 +15,18 @@ from hypothesis import strategies as st
 from echogrid.errors import EchogridError, InputError, UsageError
 from echogrid.frame import Frame
 from echogrid.geometry import wrap
+from echogrid.grid import GrowingGrid
 from echogrid.mapping import mapper
 from echogrid.mapping.build import build_map
 from echogrid.mapping.registry import sensor_model
 from echogrid.models import batches
 from echogrid.models.batches import BATCH, WINDOW_M
-from echogrid.models.model import LOOK_RAD
-from echogrid.models.networks import set_network, surroundings
+from echogrid.models.model import LOOK_RAD, Evidence
+from echogrid.models.networks import set_core, set_network, surroundings
 from echogrid.models.networks.memory import FAR_M, TRAITS, Memory
 from echogrid.models.networks.paper_network import Layers, Network, inputs
-from echogrid.models.networks.polar_map import (
-    BEARINGS,
-    REACH_M,
-    RING_M,
-    RINGS,
-    UNDER,
-    _bearing_of,
-    array_of,
-    local_map,
-    view,
-)
+from echogrid.models.networks.set_core import BEARINGS, REACH_M, RING_M, RINGS, UNDER
+from echogrid.models.networks.set_encoder import Tokens, along, encode, evidence
 from echogrid.models.networks.set_layers import (
     AT_M,
     LIMIT,
@@ -42,19 +34,16 @@ from echogrid.models.networks.set_layers import (
     RINGS_M,
     STEPS_M,
     TOKENS,
-    Tokens,
-    along,
-    encode,
-    evidence,
     fused,
     initial,
     nearest,
     saturated,
 )
-from echogrid.models.networks.set_network import FORMAT, SUMS, SetNetwork
+from echogrid.models.networks.set_network import FORMAT, SetNetwork, _Told
 from echogrid.robot import Robot
 from echogrid.training.set_lessons import Lessons
 from echogrid.training.set_training import look, orders
+from polar_oracle import _bearing_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::echogrid.DoubtWarning")  # places in no order of driving
 
@@ -104,7 +93,7 @@ ARRAYS = {n: random_mounts(n, n) for n in (1, 2, 4, 10, 24, 48)}
 ARRAYS[3] = np.array([[0.4, 0.03, pi - 0.02], [0.02, 0.4, -pi / 2 + 0.03], [-0.1, -0.2, -2.0]])
 """Two of them look across the robot."""
 
-table_of, view_of, encode_of, evidence_of, look_of = map(jax.jit, (local_map, view, encode, evidence, look))
+encode_of, evidence_of, look_of = map(jax.jit, (encode, evidence, look))
 
 
 def padded(mounts, ranges):
@@ -114,11 +103,15 @@ def padded(mounts, ranges):
 
 
 def table(mounts, ranges, traits=None, weights=None):
-    """The local maps of scans, for an array in the middle of a robot."""
+    """The polar tables of scans, for an array in the middle of a robot."""
+    return tables(mounts, ranges, traits, weights).values()
+
+
+def tables(mounts, ranges, traits=None, weights=None):
     traits = random_traits(len(ranges)) if traits is None else traits
-    mounts, ranges = padded(mounts, ranges)
-    array = array_of(mounts, MAX_RANGE_M, FOOTPRINT_M, BEAM_RAD)
-    return np.asarray(table_of(weights or random_weights(), array, jnp.asarray(ranges), jnp.asarray(traits)))
+    array = set_core.sonar_array(mounts, MAX_RANGE_M, FOOTPRINT_M, BEAM_RAD, False)
+    network = set_core.network(weights or random_weights(), None)
+    return network.tables(array, ranges.astype(np.float32), traits)
 
 
 def turned(mounts, angle):
@@ -416,14 +409,14 @@ def test_the_table_says_what_the_training_looks_at(sonars):
 
 def seen(mounts, ranges, x, y, traits=None):
     """Evidence of each scan for points [n], the same for all scans or not."""
-    x, y = (np.broadcast_to(np.asarray(v, dtype=np.float32), (len(ranges), np.shape(v)[-1])) for v in (x, y))
-    traits = random_traits(len(ranges)) if traits is None else traits
-    mounts, ranges = padded(mounts, ranges)
-    array = array_of(mounts, MAX_RANGE_M, FOOTPRINT_M, BEAM_RAD)
-    return np.asarray(view_of(random_weights(), array, ranges, traits, x, y))
+    x, y = (
+        np.ascontiguousarray(np.broadcast_to(np.asarray(v, dtype=np.float32), (len(ranges), np.shape(v)[-1])))
+        for v in (x, y)
+    )
+    return tables(mounts, ranges, traits).at(x, y)
 
 
-POINTS = BEARINGS * (RINGS - 2)
+POINTS = BEARINGS * (RINGS - 1)
 
 
 def random_points(reach=REACH_M, seed=0):
@@ -447,8 +440,8 @@ def test_the_bearing_of_a_point_is_exact_to_a_quarter_of_a_degree():
 
 def test_at_points_of_the_table_a_view_gives_its_values():
     mounts, ranges = ARRAYS[10], random_scans(10)
-    said = table(mounts, ranges)[..., : RINGS - 2]
-    x, y = (v[:, : RINGS - 2].ravel() for v in (TABLE_X, TABLE_Y))
+    said = table(mounts, ranges)[..., : RINGS - 1]
+    x, y = (v[:, : RINGS - 1].ravel() for v in (TABLE_X, TABLE_Y))
     found = seen(mounts, ranges, x, y).reshape(said.shape)
     # The bearing of a point is exact to 0.25 degrees, so that much of a step may be taken from the neighbour.
     share = np.deg2rad(0.25) / STEP_RAD
@@ -498,8 +491,8 @@ def test_a_robot_whose_frame_is_turned_by_any_angle_says_nearly_the_same_turned(
     ranges, step = random_scans(len(mounts)), steps * STEP_RAD
     to_x, to_y = (np.cos(step) * x - np.sin(step) * y, np.sin(step) * x + np.cos(step) * y)
     off = np.abs(seen(turned(mounts, step), ranges, to_x, to_y) - seen(mounts, ranges, x, y))
-    said = table(mounts, ranges)[..., : RINGS - 2]
-    change = np.average(np.abs(np.roll(said, 1, axis=1) - said), axis=-1, weights=RING_CENTRES_M[: RINGS - 2]).mean()
+    said = table(mounts, ranges)[..., : RINGS - 1]
+    change = np.average(np.abs(np.roll(said, 1, axis=1) - said), axis=-1, weights=RING_CENTRES_M[: RINGS - 1]).mean()
     assert off.mean() < 0.75 * change
 
 
@@ -511,14 +504,24 @@ def random_sums(count=50, seed=0):
 
 def read(network, sums, looks):
     """Log-odds of cells that hold such sums of so many looks, each read alone."""
-    cells = dict(zip(SUMS, (*sums, np.broadcast_to(np.float32(looks), sums[0].shape)), strict=True))
-    return network.fusion(ROBOT, network.cell_m).told(cells | {"stood": np.zeros_like(sums[0])})
+    fusion = network.fusion(ROBOT, network.cell_m)
+    grown, shape = GrowingGrid(network.cell_m, fusion.blank), np.array(sums[0].shape)
+
+    def add(layers, _):
+        for layer, added in zip(layers, (*sums, looks), strict=True):
+            layer += added
+
+    evidence = Evidence(np.zeros(2, int), shape, _Told(add, 0.0, -inf, np.zeros((1, 2)), 0.0))
+    grown.reserve(evidence.corner, evidence.end)
+    fusion.fuse(grown, evidence)
+    fusion.read_out(grown, *grown.reserved())
+    return grown.grid().log_odds, grown.grid().observed
 
 
 def test_the_mapper_fuses_as_the_training():
     weights, sums = random_weights(), random_sums()
     for looks in (1.0, 30.0):
-        trained = fused(weights, *saturated(jnp.float32(looks), *map(jnp.asarray, sums)))
+        trained = fused(weights, *saturated(jnp.float32(looks), *map(jnp.asarray, sums), xp=jnp), xp=jnp)
         log_odds, observed = read(random_network(), sums, looks)
         np.testing.assert_allclose(log_odds, trained, atol=2e-3)
         assert observed.all()

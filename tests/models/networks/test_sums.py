@@ -43,7 +43,12 @@ def told_at(corner, shape, sums, poses, radius=STOOD_SHARE * FOOTPRINT_M, stamp=
     """What scans at poses told of a window of cells: four sums and looks, each [rows, cols]."""
     corner = np.asarray(corner)
     views = np.asarray(sums[4] > 0, np.int32)
-    told = _Told([*sums, views], stamp, epoch, np.asarray(poses, dtype=float).reshape(-1, 2), radius)
+
+    def add(layers, counted):
+        for layer, added in zip((*layers, counted), (*sums, views), strict=True):
+            layer += added
+
+    told = _Told(add, stamp, epoch, np.asarray(poses, dtype=float).reshape(-1, 2), radius)
     return Evidence(corner, corner + shape, told)
 
 
@@ -162,8 +167,11 @@ def test_by_bayes_rule_no_number_of_passes_turns_a_cell_over_or_makes_it_surer_t
 
 def walls(corner, shape, poses, **told):
     """Evidence of a surface in every cell, as sure as it comes."""
-    sums = [np.full(shape, value, dtype=np.float32) for value in (80.0, 0.0, 320.0, 0.0, 20.0)]
-    return told_at(corner, shape, sums, poses, **told)
+    return told_at(corner, shape, wall_sums(shape), poses, **told)
+
+
+def wall_sums(shape):
+    return [np.full(shape, value, dtype=np.float32) for value in (80.0, 0.0, 320.0, 0.0, 20.0)]
 
 
 def distances(points, way):
@@ -251,7 +259,7 @@ def test_that_a_robot_stood_there_is_forgotten_as_its_evidence_is():
         fusion, grown = map_of(network_of(bayes=True), half_life=10.0)
         fused(fusion, grown, told_at([-45, -45], shape, nothing, here, epoch=0.0))
         assert read(fusion, grown).probability_at(np.zeros((1, 2)))[0] < 0.03
-        sums = [2**ages * each for each in walls([-45, -45], shape, there).told.sums[:5]]
+        sums = [2**ages * each for each in wall_sums(shape)]
         fused(fusion, grown, told_at([-45, -45], shape, sums, there, stamp=10.0 * ages, epoch=0.0))
         grid = read(fusion, grown)
         assert (grid.probability_at(np.zeros((1, 2)))[0] < 0.03) == free

@@ -6,18 +6,18 @@ Bayes' rule fuses it there.
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from itertools import batched
 from typing import NamedTuple, override
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from echogrid import _core
 from echogrid.frame import Frame
 from echogrid.grid import GrowingGrid, logit
-from echogrid.models.batches import BATCH, apart, in_robot, placed
+from echogrid.models.batches import BATCH, apart, placed
 from echogrid.models.model import CONE_RAD, Evidence, Fusion, Model
 from echogrid.robot import Robot
 
@@ -36,7 +36,15 @@ P_UNDER_ROBOT = 0.1
 P_VIEW_MIN, P_VIEW_MAX = 0.02, 0.98
 """No single view is taken to be more certain than this."""
 
-Bound = Callable[[Float[Array, "scans sonars"]], tuple[Float[Array, "scans points"], Bool[Array, "scans points"]]]
+ON_LOG_ODDS = False
+"""Whether eq. 4 takes the mean of log-odds in place of probabilities; for the study of what that is worth."""
+
+UNSPOKEN, UNSPOKEN_ON_LOG_ODDS = 4.0, 100.0
+"""To the core what is not spoken of rides with its value, so much below it."""
+
+Bound = Callable[
+    [Float[ndarray, "scans sonars"]], tuple[Float[ndarray, "scans points"], Bool[ndarray, "scans points"]]
+]
 """Scans -> occupancy probability of each point under the interpreter's prior, and where the scan spoke at all."""
 
 
@@ -48,7 +56,7 @@ class Interpreter(Model):
 
     @abstractmethod
     def bind(self, robot: Robot, p_robot: Float[ndarray, "points 2"]) -> Bound:
-        """Prepare for the points (m, robot frame) of a local map; what is returned is traced by JAX."""
+        """Prepare for the points (m, robot frame) of a local map."""
 
     @override
     def fusion(self, robot: Robot, resolution: float, half_life: float | None = None) -> Fusion:
@@ -59,8 +67,8 @@ class Interpreter(Model):
 class LocalMap(NamedTuple):
     """What each scan of a batch says of the square round the robot; cells [row, col], row 0 the lowest y."""
 
-    probability: Float[Array, "scans 24 24"]
-    spoken: Bool[Array, "scans 24 24"]
+    probability: Float[ndarray, "scans 24 24"]
+    spoken: Bool[ndarray, "scans 24 24"]
     """Where the scan says anything; elsewhere the probability is the interpreter's prior."""
 
 
@@ -71,7 +79,7 @@ def local_cells() -> Float[ndarray, "576 2"]:
     return np.column_stack([x.ravel(), y.ravel()])
 
 
-def local_mapper(robot: Robot, model: Interpreter) -> Callable[[Float[Array, "scans sonars"]], LocalMap]:
+def local_mapper(robot: Robot, model: Interpreter) -> Callable[[Float[ndarray, "scans sonars"]], LocalMap]:
     """The function that turns scans (m) into local maps: one question to the interpreter for each cell."""
     cells = local_cells()
     ask = model.bind(robot, cells)
@@ -80,93 +88,39 @@ def local_mapper(robot: Robot, model: Interpreter) -> Callable[[Float[Array, "sc
     # The floor under the robot is free under the interpreter's prior as well.
     p_under = 1 / (1 + np.exp(-(logit(P_UNDER_ROBOT) + logit(model.prior))))
 
-    def look(ranges: Float[Array, "scans sonars"]) -> LocalMap:
+    def look(ranges: Float[ndarray, "scans sonars"]) -> LocalMap:
         probability, spoken = ask(ranges)
-        probability = jnp.where(under, p_under, probability)
+        probability = np.where(under, np.float32(p_under), probability)
         shape = (-1, LOCAL_CELLS, LOCAL_CELLS)
         return LocalMap(probability.reshape(shape), (spoken | under).reshape(shape))
 
     return look
 
 
-def surrounding(
-    x: Float[Array, "*n"], y: Float[Array, "*n"]
-) -> tuple[list[Int[Array, "*n"]], list[Float[Array, "*n"]], Bool[Array, "*n"]]:
-    """The four local cells whose centres surround each point, their weights by eq. 4, and whether there are four.
-
-    Args:
-        x: forward, in cells, counted from the centre of the first cell; see ``in_cells``.
-        y: to the left, likewise.
-
-    Returns:
-        For each of the four its flat index, and its weight 1/distance as a share of their sum (at a centre that
-        cell alone); whether the point lies within the outermost centres. Lists, for arrays with a short last
-        axis are slow.
-    """
-    col, row = (jnp.clip(jnp.floor(place), 0, LOCAL_CELLS - 2) for place in (x, y))
-    u, v = x - col, y - row
-    inside = (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
-    first = (row * LOCAL_CELLS + col).astype(jnp.int32)
-    steps = [(0, 0), (1, 0), (0, 1), (1, 1)]
-    near = [jax.lax.rsqrt((u - du) ** 2 + (v - dv) ** 2 + 1e-12) for du, dv in steps]
-    total = near[0] + near[1] + near[2] + near[3]
-    return [first + du + LOCAL_CELLS * dv for du, dv in steps], [weight / total for weight in near], inside
+def in_cells(metres: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
+    """A coordinate in the robot's frame (m) in cells, counted from the centre of the first."""
+    return np.asarray(metres) / LOCAL_CELL_M + (LOCAL_CELLS - 1) / 2
 
 
-def in_cells(metres: Float[Array | ndarray, "*n"]) -> Float[Array, "*n"]:
-    """A coordinate in the robot's frame (m) in the units of ``surrounding``."""
-    return jnp.asarray(metres) / LOCAL_CELL_M + (LOCAL_CELLS - 1) / 2
-
-
-def resample(local: LocalMap, x: Float[Array, "scans *n"], y: Float[Array, "scans *n"]) -> Float[Array, "scans *n"]:
-    """Occupancy probability of points from the local map by eq. 4, nan where the local map says nothing.
-
-    It speaks of a point that lies among four local centres, at least one of which is spoken of.
-
-    Args:
-        local: the local maps.
-        x: points in each map, as for ``surrounding``.
-        y: likewise.
-    """
-    # Whether a cell is spoken of rides with its probability, 4 below it if not: one gather serves both.
-    coded = jnp.where(local.spoken, local.probability, local.probability - 4.0).reshape(-1)
-    # Without the barrier the compiler works the network out again for each of the four cells.
-    coded, x, y = jax.lax.optimization_barrier((coded, x, y))
-    cells, weights, inside = surrounding(x, y)
-    scan = jnp.arange(len(x), dtype=jnp.int32).reshape(-1, *[1] * (x.ndim - 1))
-    offset = scan * LOCAL_CELLS**2
-    near = [coded.at[cell + offset].get(mode="promise_in_bounds") for cell in cells]
-    told = [value > -1.0 for value in near]
-    terms = [w * jnp.where(said, value, value + 4.0) for w, said, value in zip(weights, told, near, strict=True)]
-    total = terms[0] + terms[1] + terms[2] + terms[3]
-    return jnp.where(inside & (told[0] | told[1] | told[2] | told[3]), total, jnp.nan)
-
-
-def within(
-    robot: Robot, ranges: Float[Array, "scans sonars"], x: Float[Array, "scans *n"], y: Float[Array, "scans *n"]
-) -> Bool[Array, "scans *n"]:
-    """Whether points (robot frame, m) lie under the robot, or in the range and cone of a sonar that fired."""
-    told = x**2 + y**2 <= robot.footprint_radius_m**2
-    for (forward, left, axis), longest, reading in zip(robot.mounts, robot.max_ranges_m, ranges.T, strict=True):
-        distance = jnp.hypot(x - forward, y - left)
-        ahead = (x - forward) * np.cos(axis) + (y - left) * np.sin(axis)
-        fired = ~jnp.isnan(reading).reshape(-1, *[1] * (x.ndim - 1))
-        told |= fired & (distance <= longest) & (ahead >= np.cos(CONE_RAD) * distance)
-    return told
+def coded(local: LocalMap) -> Float[ndarray, "scans 576"]:
+    """Local maps as the core takes them: what is not spoken of lies so much lower that it is no value."""
+    value, apart = local.probability, UNSPOKEN
+    if ON_LOG_ODDS:
+        value, apart = logit(np.clip(value, 1e-9, 1 - 1e-7)), UNSPOKEN_ON_LOG_ODDS
+    return np.where(local.spoken, value, value - apart).reshape(-1, LOCAL_CELLS**2).astype(np.float32)
 
 
 class _Told(NamedTuple):
     """What a batch of scans adds to the global map."""
 
-    corner: Int[ndarray, "scans 2"]
-    """Global cell [row, col] of each patch's first cell."""
-    log_odds: Float[ndarray, "scans side side"]
-    """0 where nothing is said."""
-    spoken: Bool[ndarray, "scans side side"]
+    add: Callable[[Float[ndarray, "rows cols"], Bool[ndarray, "rows cols"], Int[ndarray, "rows cols"]], None]
+    """Adds it to the window's log-odds, observed cells and views."""
 
 
 class _Patches(Fusion):
     """Each scan is a patch of the global map, added to its log-odds."""
+
+    side_by_side = False
 
     def __init__(self, robot: Robot, model: Interpreter, resolution: float):
         self.blank = {"views": np.int32(0)[...]}
@@ -178,23 +132,13 @@ class _Patches(Fusion):
     @override
     def equip(self, robot: Robot) -> None:
         super().equip(robot)
-        look = local_mapper(robot, self._model)
-        steps = jnp.arange(self._side) * self._resolution
-        prior = float(logit(self._model.prior))
+        self._look = local_mapper(robot, self._model)
         far = np.min(robot.max_ranges_m - np.hypot(*robot.mounts[:, :2].T)) >= HALF_M * np.sqrt(2)
-
-        @jax.jit
-        def patches(ranges, corner, theta):
-            """Evidence of scans (m) on patches of the global map, nan where a scan says nothing.
-
-            ``corner``: centre of each patch's first cell relative to the robot, m, world axes; ``theta``: rad.
-            """
-            x, y = in_robot(corner, theta, steps)
-            p = jnp.clip(resample(look(ranges), in_cells(x), in_cells(y)), P_VIEW_MIN, P_VIEW_MAX)
-            told = jnp.log(p / (1 - p)) - prior
-            return told if far else jnp.where(within(robot, ranges, x, y), told, jnp.nan)
-
-        self._patches = patches
+        beams = None if far else np.column_stack([robot.mounts, robot.max_ranges_m]).astype(np.float32)
+        prior, footprint = float(logit(self._model.prior)), robot.footprint_radius_m
+        self._rule = _core.LocalFusion(
+            prior, P_VIEW_MIN, P_VIEW_MAX, ON_LOG_ODDS, footprint, beams, float(np.cos(CONE_RAD))
+        )
 
     @override
     def batches(self, frames: Iterable[Frame]) -> Iterator[Sequence[Frame]]:
@@ -202,19 +146,20 @@ class _Patches(Fusion):
 
     @override
     def read(self, batch: Sequence[Frame], filled: bool = False) -> Callable[[], Evidence]:
-        patches = self._patches
+        look, rule = self._look, self._rule
 
         def work() -> Evidence:
-            at = placed(batch, BATCH, self._side, self._resolution)
-            evidence = np.asarray(patches(at.ranges, at.corner, at.theta))[: len(batch)]
-            spoken, first = ~np.isnan(evidence), at.first[: len(batch)]
-            told = _Told(first, np.where(spoken, evidence, np.float32(0)), spoken)
-            return Evidence(first.min(axis=0), first.max(axis=0) + self._side, told)
+            at = placed(batch, len(batch), self._side, self._resolution)
+            corner, end = at.first.min(axis=0), at.first.max(axis=0) + self._side
+            first = (at.first - corner).astype(np.int32)
+            told = coded(look(at.ranges))
+            add = partial(rule.add, told, at.ranges, at.corner, at.theta.astype(float), first, self._resolution)
+            return Evidence(corner, end, _Told(add))
 
         return work
 
     @override
     def fuse(self, grown: GrowingGrid, evidence: Evidence) -> None:
-        for corner, log_odds, spoken in zip(*evidence.told, strict=True):
-            grown.fuse(corner, log_odds, spoken)
-            grown.window(corner, spoken.shape)["views"] += spoken
+        rows, cols = (int(n) for n in evidence.end - evidence.corner)
+        cells = grown.window(evidence.corner, (rows, cols))
+        evidence.told.add(cells["log_odds"], cells["observed"], cells["views"])

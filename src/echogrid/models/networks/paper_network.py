@@ -6,16 +6,15 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, override
 
-import jax.numpy as jnp
 import numpy as np
-from jax.nn import sigmoid
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
+from echogrid import _core
 from echogrid.errors import InputError
 from echogrid.geometry import wrap
 from echogrid.models.model import LOOK_RAD
-from echogrid.models.networks.local_map import Bound, Interpreter
+from echogrid.models.networks.local_map import UNSPOKEN, Bound, Interpreter
 from echogrid.models.networks.weights import read_weights, write_weights
 from echogrid.robot import Robot
 
@@ -61,33 +60,13 @@ def zone_of(mounts: Float[ndarray, "sonars 3"], p_robot: Float[ndarray, "*n 2"],
     )
 
 
-def reading_features(reading: Float[Array, "*n zone"]) -> Float[Array, "*n 3*zone"]:
-    """What the network is told of the readings (m) of a zone: echo or no echo, and the range.
+def place_features(off_axis: Float[Any, "*n zone"], distance: Float[Any, "*n zone"], xp: Any = np) -> Any:
+    """Where the point lies in its zone: its bearing off each axis, and its distance [*n, zone + 1].
 
-    A sonar that did not fire is neither; ranges far beyond the local map are all alike.
+    ``xp``: numpy or jax.numpy.
     """
-    echo = jnp.isfinite(reading)
-    coded = [echo, jnp.isinf(reading), jnp.where(echo, jnp.minimum(reading, 4.0) / 2, 0.0)]
-    return jnp.concatenate(coded, axis=-1, dtype=jnp.float32)
-
-
-def beyond_features(
-    reading: Float[Array, "*n zone"], distance: Float[Array | ndarray, "*#n zone"]
-) -> Float[Array, "*n 2*zone"]:
-    """How far each echo lies beyond the point, coarse and fine; 0 without an echo."""
-    echo = jnp.isfinite(reading)
-    beyond = jnp.where(echo, reading, 0.0) - distance
-    coarse = jnp.where(echo, jnp.clip(beyond / 0.6, -1.0, 1.0), 0.0)
-    fine = jnp.where(echo, jnp.maximum(0.0, 1.0 - jnp.abs(beyond) / 0.2), 0.0)
-    return jnp.concatenate([coarse, fine], axis=-1)
-
-
-def place_features(
-    off_axis: Float[Array | ndarray, "*n zone"], distance: Float[Array | ndarray, "*n zone"]
-) -> Float[Array, "*n zone+1"]:
-    """Where the point lies in its zone: its bearing off each axis, and its distance."""
-    mean = jnp.mean(distance, axis=-1, keepdims=True)
-    return jnp.concatenate([jnp.clip(off_axis / 0.8, -2.0, 2.0), mean], axis=-1)
+    mean = xp.mean(distance, axis=-1, keepdims=True)
+    return xp.concatenate([xp.clip(off_axis / 0.8, -2.0, 2.0), mean], axis=-1)
 
 
 def inputs(zone: int = ZONE) -> int:
@@ -95,48 +74,7 @@ def inputs(zone: int = ZONE) -> int:
     return 3 * zone + 2 * zone + (zone + 1)
 
 
-Layers = list[tuple[Float[Array | ndarray, "_ _"], Float[Array | ndarray, "_"]]]
-
-
-def forward(layers: Layers, x: Float[Array, "*n fan_in"]) -> Float[Array, "*n"]:
-    """The multilayer perceptron: log-odds that a point is occupied, under the training prior."""
-    w, b = layers[0]
-    return after_first(layers, x @ w + b)
-
-
-def after_first(layers: Layers, x: Float[Array, "*n hidden"]) -> Float[Array, "*n"]:
-    """The perceptron from the sums of its first layer on. Its output levels off at LIMIT: no look is certain."""
-    for w, b in layers[1:-1]:
-        x = jnp.maximum(x, 0.0) @ w + b
-    w, b = layers[-1]
-    x = jnp.maximum(x, 0.0)
-    return LIMIT * jnp.tanh((x @ w + b)[..., 0] / LIMIT)
-
-
-def look(
-    layers: Layers,
-    prior: float,
-    reading: Float[Array, "*n zone"],
-    off_axis: Float[Array, "*n zone"],
-    distance: Float[Array, "*n zone"],
-) -> tuple[Float[Array, "*n"], Bool[Array, "*n"]]:
-    """Occupancy probability of points under the training prior, and whether a sonar that fired looks at them.
-
-    Where none looks the probability is the prior itself.
-    """
-    coded = [
-        reading_features(reading),
-        beyond_features(reading, distance),
-        place_features(off_axis, distance),
-    ]
-    p = sigmoid(forward(layers, jnp.concatenate(coded, axis=-1)))
-    spoken = looked_at(reading, off_axis)
-    return jnp.where(spoken, p, prior), spoken
-
-
-def looked_at(reading: Float[Array, "*n zone"], off_axis: Float[Array | ndarray, "*#n zone"]) -> Bool[Array, "*n"]:
-    """Whether a sonar of the zone that fired looks at the point."""
-    return jnp.any(~jnp.isnan(reading) & (jnp.abs(off_axis) <= LOOK_RAD), axis=-1)
+Layers = list[tuple[Float[Any, "_ _"], Float[Any, "_"]]]
 
 
 @dataclass(frozen=True)
@@ -167,23 +105,26 @@ class Network(Interpreter):
     def bind(self, robot: Robot, p_robot: Float[ndarray, "points 2"]) -> Bound:
         zone = zone_of(robot.mounts, p_robot, self.zone)
         off_axis, distance = zone.off_axis.astype(np.float32), zone.distance.astype(np.float32)
-        # A missing sonar reads as one that did not fire: a column of nan behind the last sonar.
+        (w, b), (w1, b1), (w2, b2) = self.layers
+        # The first layer is a sum, of which the part of the place is fixed.
+        place = place_features(off_axis, distance) @ w[5 * self.zone :] + b
+        weights = [np.ascontiguousarray(part, np.float32).ravel() for part in (w[: 5 * self.zone], w1, b1, w2, b2)]
+        # A missing sonar reads as one that did not fire.
         sonar = np.where(zone.sonar >= 0, zone.sonar, robot.sonars)
-        # The first layer is a sum: the part of the place is fixed, the part of the readings is the same for
-        # all points that share a zone, and only what lies beyond differs from point to point.
-        zones, zone_of_point = np.unique(sonar, axis=0, return_inverse=True)
-        w, b = self.layers[0]
-        w_reading, w_beyond, w_place = w[: 3 * self.zone], w[3 * self.zone : 5 * self.zone], w[5 * self.zone :]
-        place = place_features(off_axis, distance) @ w_place + b
-        zone_of_point = zone_of_point.ravel()
+        core = _core.PaperNetwork(
+            weights,
+            robot.sonars,
+            np.ascontiguousarray(sonar.T, np.int32),
+            np.ascontiguousarray(distance.T),
+            np.ascontiguousarray(-(np.abs(off_axis) <= LOOK_RAD).T.astype(np.int32)),
+            np.ascontiguousarray(place.T, np.float32),
+            self.prior,
+        )
 
-        def interpret(ranges: Float[Array, "scans sonars"]):
-            padded = jnp.pad(ranges, [(0, 0), (0, 1)], constant_values=jnp.nan)
-            reading = padded[:, sonar]
-            shared = reading_features(padded[:, zones]) @ w_reading
-            sums = beyond_features(reading, distance) @ w_beyond + shared[:, zone_of_point] + place
-            spoken = looked_at(reading, off_axis)
-            return jnp.where(spoken, sigmoid(after_first(self.layers, sums)), self.prior), spoken
+        def interpret(ranges: Float[ndarray, "scans sonars"]):
+            told = core.look(np.ascontiguousarray(ranges, np.float32))
+            spoken = told > self.prior - UNSPOKEN / 2
+            return np.where(spoken, told, np.float32(self.prior)), spoken
 
         return interpret
 

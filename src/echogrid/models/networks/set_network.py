@@ -7,20 +7,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, override
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
+from echogrid import _core
 from echogrid.errors import InputError
 from echogrid.frame import Frame
 from echogrid.grid import GrowingGrid, Layers
-from echogrid.models.batches import BATCH, WINDOW_M, in_robot, near_each_other, placed
+from echogrid.models.batches import near_each_other, placed
 from echogrid.models.model import Evidence, Fusion, Model
-from echogrid.models.networks import surroundings
+from echogrid.models.networks import set_core, surroundings
 from echogrid.models.networks.memory import Memory, Recent
-from echogrid.models.networks.polar_map import REACH_M, array_of, asked, ends_within, moved_view, view
+from echogrid.models.networks.set_core import REACH_M, ends_within
 from echogrid.models.networks.set_layers import Weights, fused, initial, saturated
 from echogrid.models.networks.weights import read_weights, write_weights
 from echogrid.robot import Robot
@@ -30,9 +29,6 @@ FORMAT = "echogrid-set-2"
 
 MAX_UNITS = 2048
 """Units of the widest network that is read."""
-
-SIZES = (1, 8, BATCH)
-"""Batches of these sizes are compiled for: one scan alone is not to wait for many."""
 
 SUMS = ("occupied", "free", "occupied2", "free2", "looks")
 """Layers of the map: evidence for and against a surface, and of its squares, and what the looks at a cell count."""
@@ -48,7 +44,7 @@ STOOD_SHARE, STOOD_STEP_M, STOOD_GAP_M = 0.9, 0.08, 0.6
 two scans is followed in such steps, or in those that fit a smaller or a much larger robot, if it is no longer than
 the last."""
 
-STRIP = 512
+STRIP = 256
 """Rows of the map that are read out at once."""
 
 _RENEW = 32.0
@@ -127,8 +123,8 @@ class SetNetwork(Model):
 class _Told(NamedTuple):
     """What a batch of scans adds to its window of the map."""
 
-    sums: Sequence[Float[Array | ndarray, "span span"]]
-    """See SUMS, and last the scans that spoke; cells past the window's end are to be left out."""
+    add: Callable[[Sequence[Float[ndarray, "rows cols"]], Int[ndarray, "rows cols"]], None]
+    """Adds it to the window's layers, see SUMS, and to its ``views``, the scans that spoke."""
     stamp: float
     """Time of the last scan, s."""
     epoch: float
@@ -146,11 +142,10 @@ class _Sums(Fusion):
         self.blank = dict.fromkeys((*SUMS, "stood"), np.float32(0)[...]) | {"views": np.int32(0)[...]}
         self.cell_m = cell = network.cell_m
         self._network, self._half_life = network, half_life
+        self._core = set_core.network(network.weights, network.around)
         self._least = 0.0 if half_life is None else FORGOTTEN
         self._side = int(np.ceil(2 * REACH_M / cell)) + 2
         self.reach_cells = self._side
-        span = self._side + int(np.ceil(WINDOW_M / cell)) + 1
-        self._sizes = {"resolution": cell, "side": self._side, "span": span}
         self._epoch, self._summed_epoch, self._now = -np.inf, -np.inf, -np.inf
         self._stale: tuple[ndarray, ndarray] | None = None
         self._last: ndarray | None = None
@@ -159,16 +154,17 @@ class _Sums(Fusion):
     @override
     def equip(self, robot: Robot) -> None:
         super().equip(robot)
-        self._window = self._window_of(ends_within(robot.mounts, robot.max_ranges_m))
+        self._ends = ends_within(robot.mounts, robot.max_ranges_m)
+        self._array = self._array_of(self._ends)
+        self._begun = set_core.begun(self._network.around, self.array)
         self._memory, self._recent = Memory(robot.mounts, self._half_life), Recent(robot.mounts)
         self._other_array = True
 
-    def _window_of(self, ends: bool) -> Callable:
-        """``_window`` for the robot; ``ends``: whether what a sonar tells ends within the local map."""
+    def _array_of(self, ends: bool) -> _core.SonarArray:
         robot = self.robot
-        array = array_of(robot.mounts, robot.max_ranges_m, robot.footprint_radius_m, robot.beam_width_rad, ends)
-        given = jax.tree.map(jnp.asarray, (self._network.weights, array))
-        return partial(_window, *given, **self._sizes)
+        return set_core.sonar_array(
+            robot.mounts, robot.max_ranges_m, robot.footprint_radius_m, robot.beam_width_rad, ends
+        )
 
     @override
     def batches(self, frames: Iterable[Frame]) -> Iterator[Sequence[Frame]]:
@@ -181,38 +177,33 @@ class _Sums(Fusion):
         recalled = self._memory.take(
             np.array([frame.pose for frame in batch]), np.array([frame.ranges for frame in batch]), stamps, new
         )
-        size = BATCH if filled else next(size for size in SIZES if size >= len(batch))
-        at = placed(batch, size, self._side, self._network.cell_m)
-        fill = size - len(batch)
-        traits = np.pad(recalled.traits, [(0, fill), (0, 0)], constant_values=np.float32(0.5))
-        weight = np.pad(recalled.weight, (0, fill))
+        weight = recalled.weight
         if self._half_life is not None:
             if (stamps[0] - self._epoch) / self._half_life > _RENEW:
                 self._epoch = float(stamps[0])
             # Rather than let all that was summed fade, what is new counts more.
-            weight[: len(batch)] *= np.exp2((stamps - self._epoch) / self._half_life)
-        window, mounts = self._window, self._mounts(batch, size)
-        if mounts is not None and ends_within(mounts[0], self.robot.max_ranges_m):
-            window = self._window_of(True)
+            weight = weight * np.exp2((stamps - self._epoch) / self._half_life).astype(np.float32)
+        array, mounts = self._array, self._mounts(batch)
+        if mounts is not None and not self._ends and ends_within(mounts, self.robot.max_ranges_m):
+            array = self._array_of(True)
+        at = placed(batch, len(batch), self._side, self._network.cell_m)
         corner, end = at.first.min(axis=0), at.first.max(axis=0) + self._side
-        rows = (at.first - corner).astype(np.int32)
+        place = at.corner, at.theta.astype(float), (at.first - corner).astype(np.int32), weight, self._network.cell_m
         stamp, epoch = float(stamps.max()), self._epoch
         poses, radius = np.array([frame.pose[:2] for frame in batch]), STOOD_SHARE * self.robot.footprint_radius_m
 
         def work() -> Evidence:
-            sums = window(at.ranges, traits, at.corner, at.theta, rows, weight, mounts)
-            return Evidence(corner, end, _Told(sums, stamp, epoch, poses, radius))
+            tables = self._core.tables(array, at.ranges, recalled.traits, mounts)
+            return Evidence(corner, end, _Told(partial(tables.add, *place), stamp, epoch, poses, radius))
 
         return work
 
-    def _mounts(self, batch: Sequence[Frame], size: int) -> tuple[ndarray, ndarray] | None:
-        """From where the sonars of each scan looked, and which are asked for each bearing; None: as on the robot."""
+    def _mounts(self, batch: Sequence[Frame]) -> Float[ndarray, "scans sonars 3"] | None:
+        """From where the sonars of each scan looked; None: as on the robot."""
         if all(frame.mounts is None for frame in batch):
             return None
-        looked = np.tile(self.robot.mounts, (size, 1, 1))
-        for k, frame in enumerate(batch):
-            looked[k] = looked[k] if frame.mounts is None else frame.mounts
-        return looked.astype(np.float32), asked(looked)
+        own = self.robot.mounts
+        return np.array([own if frame.mounts is None else frame.mounts for frame in batch], dtype=float)
 
     @override
     def fuse(self, grown: GrowingGrid, evidence: Evidence) -> None:
@@ -221,8 +212,7 @@ class _Sums(Fusion):
             self._renew(grown, told.epoch)
         rows, cols = (int(n) for n in evidence.end - evidence.corner)
         cells = grown.window(evidence.corner, (rows, cols))
-        for name, added in zip((*SUMS, "views"), told.sums, strict=True):
-            cells[name] += np.asarray(added)[:rows, :cols]
+        told.add([cells[name] for name in SUMS], cells["views"])
         self._now = max(self._now, told.stamp)
         self._changed(evidence.corner, evidence.end)
         self._stand(grown, told)
@@ -299,33 +289,29 @@ class _Sums(Fusion):
             return
         pack, reach = surroundings.PACK, surroundings.REACH
         begin = (low - reach) // pack * pack
-        end = -(-(high + reach) // pack) * pack
-        held = grown.copied(begin, (int(end[0] - begin[0]), int(end[1] - begin[1])), (*SUMS, "stood"))
-        if self._half_life is not None:
-            faded = np.float32(np.exp2((self._summed_epoch - self._now) / self._half_life))
-            held = {name: faded * value for name, value in held.items()}
-        log_odds, observed = self.told(held)
-        part = tuple(slice(a, b) for a, b in zip(low - begin, high - begin, strict=True))
+        squares = -(-(high + reach - begin) // pack)
+        faded = 1.0 if self._half_life is None else np.exp2((self._summed_epoch - self._now) / self._half_life)
+        held_at, size = grown.reserved(begin, (pack * int(squares[0]), pack * int(squares[1])))
+        held = grown.window(held_at, size)
         cells = grown.window(low, (int(high[0] - low[0]), int(high[1] - low[1])))
-        cells["log_odds"][:], cells["observed"][:] = log_odds[part], observed[part]
-
-    def told(self, cells: Layers) -> tuple[Float[ndarray, "rows cols"], Bool[ndarray, "rows cols"]]:
-        """Log-odds of a rectangle of cells, and where anything is known; the first cell has even indices."""
-        stood, observed = cells["stood"] > self._least, cells["occupied"] + cells["free"] > self._least
-        telling = self.telling(cells)
-        alone = 4 * telling[..., 4]
-        if self._network.around is None:
-            log_odds = alone
-        else:
-            log_odds = surroundings.corrected(self._network.around, telling, self.array)
-        log_odds = np.where(stood, np.minimum(log_odds, np.float32(STOOD)), np.where(observed, log_odds, 0))
-        return log_odds.astype(np.float32), observed | stood
+        self._core.read_out(
+            [held[name] for name in (*SUMS, "stood")],
+            _pair(held_at - begin),
+            _pair(squares),
+            self._begun,
+            faded,
+            self._least,
+            STOOD,
+            cells["log_odds"],
+            cells["observed"],
+            _pair(low - begin),
+        )
 
     def telling(self, cells: Layers) -> Float[ndarray, "rows cols features"]:
         """What ``surroundings`` is told of cells."""
         *sums, looks = (cells[name] for name in SUMS)
-        sums = saturated(looks, *sums, xp=np)
-        alone = np.where(cells["looks"] > 0, fused(self._network.weights, *sums, xp=np), np.float32(0))
+        sums = saturated(looks, *sums)
+        alone = np.where(cells["looks"] > 0, fused(self._network.weights, *sums), np.float32(0))
         return surroundings.features(sums, looks, alone, (cells["stood"] > self._least).astype(np.float32))
 
     @property
@@ -335,31 +321,5 @@ class _Sums(Fusion):
         return surroundings.told_of(robot.beam_width_rad, robot.max_range_m, robot.mounts)
 
 
-@partial(jax.jit, static_argnames=("resolution", "side", "span"))
-def _window(weights, array, ranges, traits, corner, theta, at, weight, mounts, *, resolution, side, span):
-    """Sums over scans (m) on a window of the global map, see SUMS.
-
-    ``weights``, ``array``: of the network and of the robot, which arrays of one size share a compilation of;
-    ``corner``, ``theta``: as in ``Placed``; ``at``: cell [row, col] of the window at which each patch begins;
-    ``weight``: what each scan counts; ``mounts``: from where the sonars of each scan looked and which are asked for
-    each bearing, None: as on the robot.
-    """
-    x, y = in_robot(corner, theta, jnp.arange(side) * resolution)
-    if mounts is None:
-        found = view(weights, array, ranges, traits, x, y)
-    else:
-        found = moved_view(weights, array, ranges, traits, x, y, *mounts)
-    found = jax.lax.optimization_barrier(found)
-
-    def add(sums, scan):
-        found, at, weight = scan
-        occupied = jnp.maximum(found, 0.0)
-        free = occupied - found
-        spoke = (found != 0.0) & (weight > 0.0)
-        added = [weight * v for v in (occupied, free, occupied**2, free**2, spoke)]
-        added.append(spoke.astype(jnp.int32))
-        part = [jax.lax.dynamic_slice(total, at, (side, side)) for total in sums]
-        return tuple(map(lambda t, p, a: jax.lax.dynamic_update_slice(t, p + a, at), sums, part, added)), None
-
-    blank = [jnp.zeros((span, span), jnp.float32) for _ in SUMS]
-    return jax.lax.scan(add, (*blank, jnp.zeros((span, span), jnp.int32)), (found, at, weight))[0]
+def _pair(values: Int[ndarray, "2"]) -> tuple[int, int]:
+    return int(values[0]), int(values[1])

@@ -11,7 +11,7 @@ at its end.
 from typing import Any
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.models.networks.set_layers import BEAM_RAD, LOOKS
@@ -122,7 +122,7 @@ def corrected(
     return (w["cs"] * 4 * told[..., 4]) + (own @ w["co"])[..., 0] + passed[..., 0]
 
 
-def _convolved(w: Float[Any, "9 m k"], h: Float[Any, "*b rows cols m"], dilation: int, xp: Any) -> Array | ndarray:
+def _convolved(w: Float[Any, "9 m k"], h: Float[Any, "*b rows cols m"], dilation: int, xp: Any) -> Any:
     """A convolution of 3 x 3 with holes, as nine products of matrices."""
     *lead, rows, cols, _ = h.shape
     padded = xp.pad(h, [(0, 0)] * len(lead) + [(dilation, dilation), (dilation, dilation), (0, 0)])

@@ -1,4 +1,4 @@
-"""The set network's local map: what a scan tells of bearings and rings round the robot, for any array of sonars."""
+"""The set network's polar map in JAX, its encoder that of the training: what the compiled core is held to."""
 
 from typing import NamedTuple
 
@@ -10,19 +10,9 @@ from numpy import ndarray
 
 from echogrid.geometry import wrap
 from echogrid.models.model import CONE_RAD, LOOK_RAD
-from echogrid.models.networks.set_layers import TOKENS, Tokens, Weights, along, encode, evidence, nearest
-
-BEARINGS, RINGS, RING_M = 64, 52, 0.05
-"""The local map: bearings round the robot, and rings of this width up to REACH_M and one beyond."""
-
-REACH_M = (RINGS - 2) * RING_M
-"""How far from the robot the network speaks."""
-
-UNDER = -2.0
-"""Log-odds of the floor under the robot."""
-
-LEAST_RAD = np.deg2rad(0.5)
-"""Half of the narrowest beam width that is told apart from narrower ones."""
+from echogrid.models.networks.set_core import BEARINGS, LEAST_RAD, REACH_M, RING_M, RINGS, UNDER, ends_within
+from echogrid.models.networks.set_encoder import Tokens, along, encode, evidence
+from echogrid.models.networks.set_layers import TOKENS, Weights, nearest
 
 
 def asked(mounts: Float[ndarray, "*n sonars 3"]) -> Int[ndarray, "*n bearings tokens"]:
@@ -53,11 +43,6 @@ class Mounted(NamedTuple):
     of that from the one before. None where all sonars reach past the local map."""
     beam: float
     """Half the beam width, rad."""
-
-
-def ends_within(mounts: Float[ndarray, "*n sonars 3"], max_range: Float[ndarray, "sonars"] | float) -> bool:
-    """Whether the range of a sonar (m) ends within the local map, so that what it tells is to end there."""
-    return bool(np.nanmin(max_range - np.hypot(mounts[..., 0], mounts[..., 1])) < REACH_M)
 
 
 def array_of(
