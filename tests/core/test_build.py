@@ -14,7 +14,7 @@ from echogrid import _core
 ROOT = Path(__file__).parents[2]
 CORE = ROOT / "core"
 OBJECTS = sorted((CORE / "editable").rglob("kernels_*/kernels.cpp.o"))
-FROM_LIBRARIES = {"cos", "log", "memcpy", "memset", "sin", "sincos"}
+FROM_LIBRARIES = {"cos", "fmaxf", "fminf", "log", "logf", "memcpy", "memset", "sin", "sincos"}
 """All that kernels may call: no heap, no file, no lock."""
 
 
