@@ -29,7 +29,7 @@ SHOWN = {
         lambda: read_truth(TRUTH),
         "Truth(64 x 85 cells of 0.1 m from (-1.1, -0.6) m: 292 surface, 2837 free, 2311",
     ),
-    "set network": (lambda: sensor_model("set-network"), "SetNetwork('set-network', 16570 weights)"),
+    "set network": (lambda: sensor_model("set-network"), "SetNetwork('set-network', 16586 weights)"),
     "network": (lambda: sensor_model("network"), "Network('network', 1377 weights)"),
     "world": (lambda: World.load("sample"), "World('sample', "),
 }

@@ -269,20 +269,19 @@ class Judge:
     def _count_turns(self, rows: Float[ndarray, "poses 4"], last: bool = False) -> None:
         """Headings that jump where the place does not; the steps at the end wait for those that follow them."""
         track = np.concatenate([self._turning, rows])
-        new = len(rows) + self._unjudged
-        self._turning = track[-2 * _AROUND - 1 :]
-        self._unjudged = 0 if last else min(_AROUND, new)
-        took, dx, dy, turn = (track[1:] - track[:-1]).T
-        turn = wrap(turn)
-        spun = np.abs(turn) > np.maximum(SPUN_RAD_S * took, JUMP_RAD)
-        spun &= np.hypot(dx, dy) <= np.maximum(FASTEST_M_S * took, JUMP_M)
-        spun[: max(len(spun) - new, 0)] = spun[max(len(spun) - self._unjudged, 0) :] = False
-        for at in np.flatnonzero(spun):
-            before, after = (slice(max(at - _AROUND, 0), at), slice(at + 1, at + 1 + _AROUND))
-            if _drove_on(track, before, after):
+        begin, self._unjudged = len(track) - 1 - len(rows) - self._unjudged, 0 if last else _AROUND
+        self._turning = track[-2 * _AROUND - 1 :].copy()
+        self._unjudged = max(min(self._unjudged, len(track) - 1 - max(begin, 0)), 0)
+        turn = np.abs(wrap(track[1:, 3] - track[:-1, 3]))
+        for at in np.flatnonzero(turn > JUMP_RAD):
+            took, dx, dy, _ = track[at + 1] - track[at]
+            slow = turn[at] <= SPUN_RAD_S * took or np.hypot(dx, dy) > max(FASTEST_M_S * took, JUMP_M)
+            if slow or not begin <= at < len(turn) - self._unjudged:
+                continue
+            if _drove_on(track, slice(max(at - _AROUND, 0), at), slice(at + 1, at + 1 + _AROUND)):
                 continue
             if not self.motion.spun:
-                self.motion.first_turn = float(track[at + 1, 0]), float(abs(turn[at]))
+                self.motion.first_turn = float(track[at + 1, 0]), float(turn[at])
             self.motion.spun += 1
 
     def _count_jumps(self, stamps: ndarray, way: ndarray, far: Bool[ndarray, "steps"]) -> None:
