@@ -58,7 +58,7 @@ def serve() -> None:
     from echogrid.mapping.mapper import Mapper
 
     robot = Robot.load("b21")
-    sample = list(load_log(str(Path(sys.modules["echogrid"].__file__).parent / "data" / "sample.csv")))
+    sample = list(load_log(str(Path(str(sys.modules["echogrid"].__file__)).parent / "data" / "sample.csv")))
     frames = [sample[i % len(sample)] for i in range(SCANS)]
 
     def bulk(model, cell):

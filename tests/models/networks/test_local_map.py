@@ -110,7 +110,7 @@ def resample(local, points):
     p = np.full((len(told), len(points)), nan)
     for i, k in np.ndindex(p.shape):
         # A window of one cell, which lies there.
-        at = np.float32((points[None, k] - (LOCAL_CELLS - 1) / 2) * LOCAL_CELL_M)
+        at = ((points[None, k] - (LOCAL_CELLS - 1) / 2) * LOCAL_CELL_M).astype(np.float32)
         cell = np.zeros((1, 1), np.float32), np.zeros((1, 1), bool), np.zeros((1, 1), np.int32)
         rule.add(
             told[i : i + 1], np.zeros((1, 0), np.float32), at, np.zeros(1), np.zeros((1, 2), np.int32), 0.1, *cell

@@ -275,7 +275,7 @@ def test_cells_are_read_out_as_by_the_oracle(rectangle, alone, fading):
 
 
 def test_a_look_too_faint_to_count_is_read_out_with_all_its_digits():
-    looks = np.float32([[1e-7, 1e-5, 1e-3, 0.1, 1, 7.1, 7.3, 24, 1e4]])
+    looks = np.array([[1e-7, 1e-5, 1e-3, 0.1, 1, 7.1, 7.3, 24, 1e4]], np.float32)
     cells = [2 * looks, looks, looks, looks, looks, 0 * looks]
     log_odds, _ = read(cells, None)
     expected, _ = oracle_read(cells, None, (0, 0), (1, 5), 0.0, 1.0)

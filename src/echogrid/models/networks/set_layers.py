@@ -108,13 +108,13 @@ STEP_BENDS = _bends(STEPS_M)[:-1]
 RING_BENDS = _bends(RINGS_M)
 
 
-def saturated[A](looks: A, *sums: A, xp: Any = np) -> tuple[A, ...]:
+def saturated(looks: Any, *sums: Any, xp: Any = np) -> tuple[Any, ...]:
     """Sums of evidence, brought down to what so many looks are worth; see LOOKS."""
     share = -LOOKS * xp.expm1(-looks / LOOKS) / xp.maximum(looks, 1e-6)
     return tuple(share * total for total in sums)
 
 
-def fused[A](w: Weights, occupied: A, free: A, occupied2: A, free2: A, xp: Any = np) -> A:
+def fused(w: Weights, occupied: Any, free: Any, occupied2: Any, free2: Any, xp: Any = np) -> Any:
     """Log-odds of points from the sums of all views' evidence for a surface and against it, and of its squares.
 
     Where views are independent the difference of the sums is Bayes' rule; they are not: what tells mirrors from
