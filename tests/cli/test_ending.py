@@ -55,7 +55,7 @@ def ended(code, *args):
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
-@pytest.mark.parametrize("module", ["numpy", "tyro", "echogrid.cli.maps", "jax", "jaxlib.xla_client", "matplotlib"])
+@pytest.mark.parametrize("module", ["numpy", "tyro", "echogrid.cli.maps", "echogrid._core", "matplotlib"])
 def test_ctrl_c_during_an_import_is_one_line(tmp_path, module):
     done = ended(IMPORTING, module, tmp_path / "out")
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "echogrid: stopped\n")
