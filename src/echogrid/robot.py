@@ -85,13 +85,13 @@ class Robot:
 
     def clean_one(self, range_m: float, sonar: int = 0) -> float:
         """``clean`` for a single reading of a sonar."""
-        least, longest = self._bounds
+        least, longest = self.bounds
         if range_m >= longest[sonar]:
             return np.inf
         return np.nan if range_m < least else range_m
 
     @cached_property
-    def _bounds(self) -> tuple[float, list[float]]:
+    def bounds(self) -> tuple[float, list[float]]:
         """What a single reading is compared with: the minimum range, and the maximum of each sonar, m."""
         return max(self.min_range_m * _SINGLE, _LEAST_M), (self.max_ranges_m * _SINGLE).tolist()
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from echogrid.frame import Frame
@@ -37,7 +37,7 @@ FADE = 0.95
 _LEAST = 0.01
 """Neighbours that count less are none."""
 
-_PRIOR = 1e-3
+PRIOR = 1e-3
 """What counts for one half from the beginning."""
 
 RECENT_M, RECENT_RAD, RECENT_S = 0.4, np.deg2rad(30.0), 2.0
@@ -61,6 +61,16 @@ class Recalled(NamedTuple):
     how far all things are. 0.5 where nothing is known."""
 
 
+def neighbours(
+    mounts: Float[ndarray, "sonars 3"],
+) -> tuple[Int[ndarray, "pairs"], Int[ndarray, "pairs"], Float[ndarray, "pairs"]]:
+    """Pairs of sonars (m, m, rad) that look about the same way: the first of each, the second, and how nearly."""
+    first, second = np.triu_indices(len(mounts), 1)
+    near = np.exp(-((wrap(mounts[first, 2] - mounts[second, 2]) / NEIGHBOUR_RAD) ** 2))
+    kept = near > _LEAST
+    return first[kept], second[kept], near[kept]
+
+
 class Memory:
     """Memory of one drive of one robot."""
 
@@ -74,11 +84,7 @@ class Memory:
         self._half_life = half_life
         self._count: dict[tuple[int, int, int], tuple[float, float]] = {}
         self._sonars = max(1, int(np.sum(~np.isnan(mounts[:, 2]))))
-        first, second = np.triu_indices(len(mounts), 1)
-        near = np.exp(-((wrap(mounts[first, 2] - mounts[second, 2]) / NEIGHBOUR_RAD) ** 2))
-        kept = near > _LEAST
-        self._pairs = first[kept], second[kept]
-        self._near = near[kept]
+        *self._pairs, self._near = neighbours(mounts)
         self._sums, self._counts = np.zeros(TRAITS), np.zeros(TRAITS)
 
     def take(
@@ -120,7 +126,7 @@ class Memory:
         for i, (total, count) in enumerate(zip(np.stack(sums, axis=1), counts, strict=True)):
             self._sums = FADE * self._sums + total
             self._counts = FADE * self._counts + count
-            traits[i] = (self._sums + 0.5 * _PRIOR) / (self._counts + _PRIOR)
+            traits[i] = (self._sums + 0.5 * PRIOR) / (self._counts + PRIOR)
         return Recalled(weight, traits)
 
 

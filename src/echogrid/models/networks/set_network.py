@@ -120,6 +120,14 @@ class SetNetwork(Model):
         return SetNetwork(own, around or None, recipe, Path(path).stem)
 
 
+def stood_step(radius: float) -> float:
+    """Steps (m) in which the way of a disc of a radius (m) is followed.
+
+    A small one would leave gaps, a large one has many cells.
+    """
+    return max(min(STOOD_STEP_M, radius / 2), radius / 10)
+
+
 class _Told(NamedTuple):
     """What a batch of scans adds to its window of the map."""
 
@@ -229,8 +237,7 @@ class _Sums(Fusion):
         if told.radius <= 0:
             return
         steps = np.hypot(*np.diff(way, axis=0).T)
-        # A small robot would leave gaps, a large one has many cells.
-        step = max(min(STOOD_STEP_M, told.radius / 2), told.radius / 10)
+        step = stood_step(told.radius)
         parts = np.where(steps <= STOOD_GAP_M, np.ceil(steps / step), 1).astype(int)
         at = [
             a + (b - a) * (np.arange(1, n + 1) / n)[:, None]
