@@ -10,6 +10,7 @@ READY := .venv/ready
 CORE := $(wildcard core/*.cpp core/*.hpp core/*.cmake core/backend.py core/CMakeLists.txt core/editable/CMakeLists.txt)
 PIP := $(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt
 COMPILER := { [ -n "$$CXX" ] || command -v c++ || command -v g++ || command -v clang++; } >/dev/null
+C := $(wildcard src/echogrid/microcontroller/c/*.[ch] tests/microcontroller/*.c benchmarks/microcontroller/*.c)
 
 .DEFAULT_GOAL := help
 .PHONY: help setup map test check format bench study paper generalise drivable peers docs mrpt weights builds sanitize arm clean
@@ -45,14 +46,14 @@ check: $(READY)  ## lint, format and types
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/ty check
-	$(BIN)/clang-format --dry-run --Werror core/*.cpp core/*.hpp
+	$(BIN)/clang-format --dry-run --Werror core/*.cpp core/*.hpp $(C)
 
 format: $(READY)  ## put the code into shape
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
-	$(BIN)/clang-format -i core/*.cpp core/*.hpp
+	$(BIN)/clang-format -i core/*.cpp core/*.hpp $(C)
 
-bench: $(READY)  ## speed and memory (about 12 minutes; python -m benchmarks.live hour takes 8 more)
+bench: $(READY)  ## speed and memory (about 14 minutes; python -m benchmarks.live hour takes 8 more)
 	$(BIN)/python -m benchmarks.simulator
 	$(BIN)/python -m benchmarks.mapping
 	$(BIN)/python -m benchmarks.models
@@ -60,6 +61,7 @@ bench: $(READY)  ## speed and memory (about 12 minutes; python -m benchmarks.liv
 	$(BIN)/python -m benchmarks.bags
 	$(BIN)/python -m benchmarks.core
 	$(BIN)/python -m benchmarks.live latency
+	$(BIN)/python -m benchmarks.microcontroller
 
 study: $(READY)  ## score both networks and the cone on held-out rooms (about 10 minutes)
 	$(BIN)/python -m experiments.paper.held_out --resolution 0.04 set-network network cone

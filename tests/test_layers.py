@@ -28,8 +28,9 @@ PLAN = {
     "set_training",
     "output": "folder follower map_picture scan_picture map_server_file map_file mcap_file recording page rerun_file "
     "rerun_server",
+    "microcontroller": "array constants source",
     "live": "sonar_array clocks hearing telling live_map session sockets tf_topics dds_types dds",
-    "cli": "ending arguments info maps simulation live helping completion commands",
+    "cli": "ending arguments info maps simulation export live helping completion commands",
 }
 ORDER = [f"{room}.{name}".strip(".") for room, names in PLAN.items() for name in [*names.split(), ""] if room or name]
 
@@ -129,6 +130,12 @@ main()
 """
     assert loaded_after(code, tmp_path / "out", network) & {"jax", "jaxlib", "optax"} == set()
     assert (tmp_path / "out" / "map.npz").exists()
+
+
+def test_the_set_network_is_exported_without_jax(tmp_path):
+    code = "import sys; from echogrid.cli import main; main(['export', '--c', sys.argv[1]])"
+    assert loaded_after(code, tmp_path / "firmware") & {"jax", "jaxlib", "optax", "scipy", "matplotlib"} == set()
+    assert (tmp_path / "firmware" / "echogrid.c").exists()
 
 
 def test_every_name_that_the_package_offers_is_there():

@@ -72,6 +72,8 @@ def test_the_sdist_builds_without_a_network_into_a_wheel_of_the_stable_abi(copy,
         held.extractall(site)
     assert sorted(path.name for path in site.glob("echogrid/_core*")) == ["_core.abi3.so", "_core.pyi"]
     assert not list(site.glob("**/*.cpp"))
+    exported = [sorted(c.name for c in part.glob("echogrid/microcontroller/c/*")) for part in (copy / "src", site)]
+    assert exported[0] == exported[1] != []
     code = "from echogrid import _core; print(_core.__file__, _core.instructions())"
     told = run(sys.executable, "-c", code, cwd=tmp_path, PYTHONPATH=str(site))
     assert told.startswith(str(site))

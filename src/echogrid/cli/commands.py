@@ -7,6 +7,7 @@ import tyro
 from echogrid import __version__
 from echogrid.cli.arguments import Ros
 from echogrid.cli.completion import completion
+from echogrid.cli.export import Export
 from echogrid.cli.helping import examples, folded, worded
 from echogrid.cli.info import Info
 from echogrid.cli.live import Live
@@ -14,7 +15,7 @@ from echogrid.cli.maps import Map, Score
 from echogrid.cli.simulation import Scan, Simulate, Train
 from echogrid.simulation.acoustics import Physics
 
-Command = Map | Live | Simulate | Scan | Train | Score | Info
+Command = Map | Live | Simulate | Scan | Train | Export | Score | Info
 
 COMMANDS: dict[str, Callable[..., Command]] = {
     "map": Map,
@@ -22,11 +23,12 @@ COMMANDS: dict[str, Callable[..., Command]] = {
     "simulate": Simulate,
     "scan": Scan,
     "train": Train,
+    "export": Export,
     "score": Score,
     "info": Info,
 }
 
-for _each in (Map, Live, Simulate, Scan, Train, Score, Info, Ros, Physics):
+for _each in (Map, Live, Simulate, Scan, Train, Export, Score, Info, Ros, Physics):
     worded(_each)
 
 

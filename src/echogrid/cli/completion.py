@@ -84,7 +84,7 @@ def _named(command: str, option: str) -> list[str]:
 
     names = {
         "robot": preset_names(),
-        "interpreter": ["set-network"] if command == "Live" else sorted(MODELS),
+        "interpreter": ["set-network"] if command in ("Live", "Export") else sorted(MODELS),
         "transducer": TRANSDUCERS,
         "physics.beam": BEAMS,
     }

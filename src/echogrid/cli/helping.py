@@ -43,6 +43,10 @@ echogrid scan lab --at 1,0.8 --out scan
 echogrid train --robot p3dx --out mine.npz         # an hour on 2 cores; goes on where it was stopped
 echogrid map drive.csv --robot p3dx --interpreter mine.npz
 """,
+    "export": """
+echogrid export --c firmware --robot my-robot.yaml
+echogrid export --c firmware --robot p3dx --side 8 --cell 0.12
+""",
     "score": """
 echogrid simulate corridor --robot p3dx --out drive.csv
 echogrid map drive.csv --robot p3dx --out out

@@ -1,0 +1,1 @@
+"""What an export takes of a microcontroller, and what its map is worth."""
