@@ -78,7 +78,7 @@ paper: $(READY)  ## the paper's figures, every model beside the network, and doc
 	$(BIN)/python -m benchmarks.models --record
 	$(BIN)/python -m experiments.paper.results
 
-peers:  ## install what tests talk to and skip without: rosbag, Fast DDS, Chromium (Debian packages, as root or sudo)
+peers:  ## install what tests use and skip without: rosbag, Fast DDS, Chromium, ARM (Debian packages, as root or sudo)
 	tests/peers/install.sh
 
 docs: $(READY)  ## build the documentation site into build/site

@@ -1,6 +1,6 @@
 #!/bin/sh
-# Installs, from Debian's packages, the programs of other people that tests talk to: rosbag (ROS 1), Fast DDS, Chromium.
-# Without them those tests skip.
+# Installs, from Debian's packages, the programs of other people that tests talk to: rosbag (ROS 1), Fast DDS, Chromium,
+# a compiler for ARM and an emulator. Without them those tests skip.
 set -eu
 
 fail() {
@@ -18,4 +18,5 @@ $as_root apt-get update -q
 $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -q -y --no-install-recommends \
     python3-rosbag python3-sensor-msgs python3-nav-msgs python3-tf2-msgs \
     g++ libfastrtps-dev fastddsgen iproute2 \
-    chromium chromium-driver
+    chromium chromium-driver \
+    gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-user
