@@ -2,9 +2,9 @@ import pickle
 
 import pytest
 
-from echogrid.errors import InputError, UsageError
+from echogrid.errors import InputError, MissingError, UsageError
 
-ERRORS = InputError("a.csv:3", "x", "y"), UsageError("--seed: found -1, expected 0 or more")
+ERRORS = InputError("a.csv:3", "x", "y"), UsageError("--seed: found -1, expected 0 or more"), MissingError("x")
 
 
 @pytest.mark.parametrize("error", ERRORS)

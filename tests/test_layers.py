@@ -12,9 +12,9 @@ PACKAGE = Path(echogrid.__file__).parent
 
 # The rooms along the way of the data. A room imports only from rooms before it, a module only from modules before it.
 PLAN = {
-    "": "errors _core geometry temporary files packed npz yaml_keys limits robot stillness doubts frame track grid "
-    "metrics",
-    "simulation": "regions targets world beam_patterns acoustics rooms drive echo simulate",
+    "": "errors extras _core geometry temporary files packed npz yaml_keys limits robot stillness doubts frame track "
+    "grid metrics",
+    "simulation": "regions targets world beam_patterns acoustics rooms drive scene echo simulate",
     "ros": "rigid transforms sonars gathering messages",
     "bags": "unpacking ros1_stream message_types bag_file events topics clocks survey units floor mounts "
     "reading_plan reader",

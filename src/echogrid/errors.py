@@ -33,5 +33,9 @@ class UsageError(EchogridError):
     """A request that cannot be carried out as it stands, though every file is well formed."""
 
 
+class MissingError(UsageError, ImportError):
+    """A request that needs a package which is not installed; the line says how it is."""
+
+
 class DoubtWarning(UserWarning):
     """Frames that a program handed over were mapped, but something about them is doubtful."""

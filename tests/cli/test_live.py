@@ -279,4 +279,6 @@ def test_without_cyclonedds_it_is_said_what_to_install(tmp_path, monkeypatch, ca
     monkeypatch.setitem(sys.modules, "cyclonedds.builtin", None)
     with pytest.raises(SystemExit):
         main(["live", "--out", str(tmp_path / "out")])
-    assert capsys.readouterr().err == ("echogrid: live: found no cyclonedds, expected `pip install '.[ros2]'`\n")
+    assert capsys.readouterr().err == (
+        "echogrid: live: found no cyclonedds, expected it: pip install 'echogrid[ros2]'\n"
+    )

@@ -4,6 +4,7 @@ import http.client
 import http.server
 import json
 import os
+import sys
 import threading
 from contextlib import suppress
 from importlib.util import find_spec
@@ -14,7 +15,7 @@ import pytest
 
 from echogrid.errors import UsageError
 from echogrid.frame import Frame
-from echogrid.output import rerun_file, rerun_server
+from echogrid.output import rerun_server
 from echogrid.output.rerun_file import Viewing
 from echogrid.output.rerun_server import served
 from echogrid.robot import Robot
@@ -28,8 +29,8 @@ with_rerun = pytest.mark.skipif(find_spec("rerun") is None, reason="needs the ex
 
 
 def test_without_rerun_the_line_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setattr(rerun_file, "find_spec", lambda _: None)
-    with pytest.raises(UsageError, match=r"--rerun: found no rerun, expected .*pip install '\.\[viewer\]'"):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(UsageError, match=r"^--rerun: found no rerun, expected it: pip install 'echogrid\[viewer\]'$"):
         Viewing(tmp_path / "map.rrd", ROBOT)
     with pytest.raises(UsageError, match="found no rerun"), served(tmp_path / "map.rrd"):
         pytest.fail("the block must not run")
@@ -55,7 +56,7 @@ def test_analytics_count_as_off_only_where_their_file_says_so(tmp_path, content,
 
 
 def test_an_rerun_whose_analytics_cannot_be_turned_off_is_not_started(tmp_path, monkeypatch):
-    monkeypatch.setattr(rerun_file, "find_spec", lambda _: True)
+    monkeypatch.setattr("echogrid.extras.find_spec", lambda _: True)
     monkeypatch.setattr(rerun_server.sys, "executable", "/bin/true")
     monkeypatch.setattr(rerun_server.subprocess, "Popen", lambda *_, **__: pytest.fail("must not start"))
     monkeypatch.setattr(rerun_server.subprocess, "run", lambda *_, **__: None)

@@ -16,6 +16,7 @@ from tyro.conf import OmitArgPrefixes, arg
 
 from echogrid.cli.arguments import Ros, check_map, drop
 from echogrid.errors import EchogridError, UsageError, escaped
+from echogrid.extras import need
 from echogrid.files import made
 from echogrid.output.folder import check_folder
 
@@ -71,10 +72,8 @@ class Live:
     def run(self) -> None:
         """Map until stopped."""
         domain = self._check()
-        try:
-            from echogrid.live.dds import Network
-        except ImportError:
-            raise UsageError("live: found no cyclonedds, expected `pip install '.[ros2]'`") from None
+        need("live", "ros2")
+        from echogrid.live.dds import Network
         from echogrid.live.live_map import Settings
         from echogrid.live.session import Live as Mapping
         from echogrid.mapping.registry import sensor_model

@@ -11,6 +11,7 @@ from tyro.conf import Positional, arg
 
 from echogrid.cli.arguments import WORLD, bar, check_physics, check_seed, robot_arg
 from echogrid.errors import UsageError
+from echogrid.extras import need
 from echogrid.files import check_writable, replacing, unwritable
 from echogrid.frame import Frame
 from echogrid.robot import TRANSDUCERS, Robot
@@ -39,6 +40,7 @@ class Simulate:
 
     def run(self) -> None:
         """Write the log and its truth."""
+        need("simulate", "train")
         from echogrid.logs.csv_log import write_csv
         from echogrid.output.map_file import write_truth
         from echogrid.simulation.drive import along, read_waypoints, tour, truth_of
@@ -86,6 +88,7 @@ class Scan:
 
     def run(self) -> None:
         """Write the scan."""
+        need("scan", "train")
         from echogrid.output.scan_picture import write_scan
         from echogrid.simulation.simulate import rotary_scan
 

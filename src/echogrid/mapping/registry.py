@@ -7,6 +7,7 @@ from importlib import resources
 from pathlib import Path
 
 from echogrid.errors import UsageError
+from echogrid.extras import need
 from echogrid.models.model import Model
 from echogrid.models.networks.paper_network import FORMAT, Network
 from echogrid.models.networks.set_network import FORMAT as SET_FORMAT
@@ -29,12 +30,14 @@ def _network() -> Network:
 
 
 def _log_odds(name: str) -> Model:
+    need("interpreter", "train")
     from echogrid.models.classical import log_odds
 
     return getattr(log_odds, name)()
 
 
 def _calculus(name: str) -> Model:
+    need("interpreter", "train")
     from echogrid.models.classical import calculi
 
     return getattr(calculi, name)()
@@ -73,7 +76,7 @@ def sensor_model(name_or_weights: str | Path) -> Model:
 
     Raises:
         InputError: the file is not a weights file.
-        UsageError: neither a name nor a file.
+        UsageError: neither a name nor a file; or JAX is not installed, which the classical models but ``em`` need.
     """
     if not isinstance(name_or_weights, str | Path):
         raise UsageError(f"interpreter: found {shown(name_or_weights)}, expected a model or its name")

@@ -5,7 +5,6 @@ Rerun is the extra ``viewer``; nothing else of the package needs it.
 
 from contextlib import ExitStack
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -14,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from echogrid.errors import UsageError
+from echogrid.extras import need
 from echogrid.files import replacing
 from echogrid.frame import Frame
 from echogrid.geometry import transform
@@ -34,16 +33,6 @@ _STEP_M = 0.02
 _ECHO, _SILENT, _ROBOT, _DRIVE = (230, 120, 20), (110, 150, 190), (44, 160, 44), (31, 119, 180)
 _ABOVE_M = {"cones": 0.02, "drive": 0.03, "robot": 0.04}
 """Heights at which lines are drawn, so that the map does not hide them."""
-
-
-def check_rerun() -> None:
-    """Make sure that Rerun is there.
-
-    Raises:
-        UsageError: it is not.
-    """
-    if find_spec("rerun") is None or find_spec("rerun_cli") is None:
-        raise UsageError("--rerun: found no rerun, expected it by `pip install '.[viewer]'`")
 
 
 class Viewing:
@@ -70,7 +59,7 @@ class Viewing:
         Raises:
             UsageError: Rerun is not installed.
         """
-        check_rerun()
+        need("--rerun", "viewer")
         self.path, self.robot = Path(path), robot
         self._rr: Any = import_module("rerun")
         self._pace = Pace()

@@ -23,7 +23,7 @@ from tempfile import TemporaryDirectory
 from urllib.parse import quote
 
 from echogrid.errors import UsageError
-from echogrid.output.rerun_file import check_rerun
+from echogrid.extras import need
 
 _HERE = "127.0.0.1"
 
@@ -57,7 +57,7 @@ def served(recording: Path) -> Generator[Served]:
     Raises:
         UsageError: Rerun is not installed, or does not start.
     """
-    check_rerun()
+    need("--rerun", "viewer")
     with TemporaryDirectory(prefix="echogrid-rerun-") as home, ExitStack() as stack:
         rerun = [sys.executable, "-m", "rerun_cli"]
         environment = _without_analytics(rerun, Path(home))

@@ -9,22 +9,19 @@ below the first Fresnel zone. A path comes home in one of three ways:
 - it returns on itself from the diffuse part of a rough wall, seen directly or through mirrors.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
-from numpy import ndarray
 
 from echogrid.simulation.acoustics import BEAM_ENTRIES, CHORD_STEP, Acoustics
-from echogrid.simulation.world import World
+from echogrid.simulation.scene import RAYS, Scene
 
 BOUNCES = 3
 """Highest order of mirror reflections that is followed."""
-
-RAYS = 49
-"""Rays of the fan over FAN_RAD; 1.5 degrees apart."""
 
 FAN_RAD = np.deg2rad(73.5)
 """Width of the fan: beyond it no beam pattern reaches the threshold."""
@@ -34,55 +31,6 @@ _SQUARE, _OBLIQUE = np.cos(np.deg2rad(12.5)), np.cos(np.deg2rad(60.0))
 _ROUGH_M = 4e-4
 _FAR = 1e6
 _NOTHING = 1e9
-
-
-class Scene(NamedTuple):
-    """A world as the simulator reads it, padded to fixed sizes so that worlds can share a compilation."""
-
-    normal: Float[Array | ndarray, "*n walls 2"]
-    offset: Float[Array | ndarray, "*n walls"]
-    """Distance of each wall's line from the origin along the normal, m."""
-    along: Float[Array | ndarray, "*n walls 2"]
-    begin: Float[Array | ndarray, "*n walls"]
-    """Where the wall begins along its line, m."""
-    length: Float[Array | ndarray, "*n walls"]
-    """Negative: no wall (padding)."""
-    roughness: Float[Array | ndarray, "*n walls"]
-    centre: Float[Array | ndarray, "*n targets 2"]
-    """Edges and cylinders."""
-    radius: Float[Array | ndarray, "*n targets"]
-    """0: an edge; negative: no target (padding)."""
-    hidden: Float[Array | ndarray, "*n targets 4"]
-    """The sector from which an edge cannot be seen, see World.vertices."""
-
-    @staticmethod
-    def of(world: World, walls: int | None = None, targets: int | None = None) -> "Scene":
-        """The scene of a world, padded to the given sizes or to the next multiple of 8."""
-        normal, offset = world.hessian()
-        along = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
-        ends = world.walls
-        _, edges, hidden = world.vertices
-        centre = np.concatenate([np.array([[e.x, e.y] for e in edges]).reshape(-1, 2), world.cylinders[:, :2]])
-        radius = np.concatenate([np.zeros(len(edges)), world.cylinders[:, 2]])
-        hidden = np.concatenate([hidden, np.zeros((len(world.cylinders), 4))])
-        walls = walls or -(-max(len(ends), 1) // 8) * 8
-        targets = targets or -(-max(len(radius), 1) // 8) * 8
-
-        def pad(values: Float[ndarray, "n *d"], size: int, fill: float = 0.0) -> Float[ndarray, "m *d"]:
-            width = [(0, size - len(values))] + [(0, 0)] * (values.ndim - 1)
-            return np.pad(values, width, constant_values=fill).astype(np.float32)
-
-        return Scene(
-            pad(normal, walls),
-            pad(offset, walls),
-            pad(along, walls),
-            pad(np.sum(along * ends[:, :2], axis=1), walls),
-            pad(np.linalg.norm(ends[:, 2:] - ends[:, :2], axis=1), walls, fill=-1.0),
-            pad(world.roughness, walls),
-            pad(centre, targets),
-            pad(radius, targets, fill=-1.0),
-            pad(hidden, targets),
-        )
 
 
 class _Rays(NamedTuple):
@@ -323,3 +271,25 @@ def _target_echo(
     strength = jnp.where(radius > 0, cylinder, edge)
     two_way = 2 * (leg.loss + beam + slope * leg.parity * sideways)
     return _crossing(ac, found, r, _spreading(ac, r) + strength + two_way + gain)
+
+
+@partial(jax.jit, static_argnames="rays")
+def scans_ranges(scene, ac, p_world, axis, level_offset, rays):
+    """``first_echo`` of many frames: leading axis of the last three array arguments."""
+    flat = first_echo(scene, ac, p_world.reshape(-1, 2), axis.reshape(-1), level_offset.reshape(-1), rays)
+    return flat.reshape(axis.shape)
+
+
+@jax.jit
+def drives_ranges(
+    scene: Scene,
+    ac: Acoustics,
+    p_world: Float[Array, "drives frames sonars 2"],
+    axis: Float[Array, "drives frames sonars"],
+    level_offset: Float[Array, "drives frames sonars"],
+) -> Float[Array, "drives frames sonars"]:
+    """Ranges of many drives, each in its own scene under its own acoustics (leading axes ``drives``).
+
+    One after another: on a CPU that is five times as fast as a vectorisation over scenes.
+    """
+    return jax.lax.map(lambda one: scans_ranges(*one, rays=RAYS), (scene, ac, p_world, axis, level_offset))

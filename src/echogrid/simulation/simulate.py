@@ -2,41 +2,18 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
 
-import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from numpy import ndarray
 
+from echogrid.extras import need
 from echogrid.frame import Frame
 from echogrid.geometry import compose, wrap
 from echogrid.robot import Robot, Transducer
-from echogrid.simulation.acoustics import Acoustics, Physics, acoustics
-from echogrid.simulation.echo import RAYS, Scene, first_echo
+from echogrid.simulation.acoustics import Physics, acoustics
+from echogrid.simulation.scene import RAYS, Scene
 from echogrid.simulation.world import World
-
-
-@partial(jax.jit, static_argnames="rays")
-def _scan_ranges(scene, ac, p_world, axis, level_offset, rays):
-    """``first_echo`` of many frames: leading axis of the last three array arguments."""
-    flat = first_echo(scene, ac, p_world.reshape(-1, 2), axis.reshape(-1), level_offset.reshape(-1), rays)
-    return flat.reshape(axis.shape)
-
-
-@jax.jit
-def drives_ranges(
-    scene: Scene,
-    ac: Acoustics,
-    p_world: Float[Array, "drives frames sonars 2"],
-    axis: Float[Array, "drives frames sonars"],
-    level_offset: Float[Array, "drives frames sonars"],
-) -> Float[Array, "drives frames sonars"]:
-    """Ranges of many drives, each in its own scene under its own acoustics (leading axes ``drives``).
-
-    One after another: on a CPU that is five times as fast as a vectorisation over scenes.
-    """
-    return jax.lax.map(lambda one: _scan_ranges(*one, rays=RAYS), (scene, ac, p_world, axis, level_offset))
 
 
 def sonar_poses(
@@ -105,7 +82,14 @@ class Simulator:
     def ranges(
         self, poses: Float[ndarray, "frames 3"], rng: np.random.Generator, rays: int = RAYS
     ) -> Float[ndarray, "frames sonars"]:
-        """Undisturbed readings (m; inf = no echo) at each pose; ``rng`` gives the fluctuation of levels."""
+        """Undisturbed readings (m; inf = no echo) at each pose; ``rng`` gives the fluctuation of levels.
+
+        Raises:
+            MissingError: JAX is not installed.
+        """
+        need("simulate", "train")
+        from echogrid.simulation.echo import scans_ranges
+
         scene = Scene.of(self.world)
         ac = acoustics(self.robot.transducer, self.physics)
         batch = 64
@@ -115,7 +99,7 @@ class Simulator:
             fill = min(batch, len(poses)) - len(chunk)
             mounts = sonar_poses(self.robot.mounts, np.pad(chunk, [(0, fill), (0, 0)]))
             offset = self.physics.level_noise_db * rng.standard_normal(mounts.shape[:2])
-            result = _scan_ranges(
+            result = scans_ranges(
                 scene,
                 ac,
                 mounts[..., :2].astype(np.float32),

@@ -14,7 +14,7 @@ from echogrid.metrics import Truth
 from echogrid.robot import Robot
 from echogrid.simulation.acoustics import Physics, acoustics
 from echogrid.simulation.drive import truth_of
-from echogrid.simulation.echo import Scene
+from echogrid.simulation.echo import drives_ranges
 from echogrid.simulation.rooms import (
     frank_sensing,
     random_physics,
@@ -23,7 +23,8 @@ from echogrid.simulation.rooms import (
     random_world,
     told_beam,
 )
-from echogrid.simulation.simulate import drives_ranges, sonar_poses
+from echogrid.simulation.scene import Scene
+from echogrid.simulation.simulate import sonar_poses
 from echogrid.simulation.world import World
 
 _WALLS = _TARGETS = 40
