@@ -14,5 +14,10 @@ cmake --build $out/core
 # may hold back what it says.
 rm -rf $out/site && mkdir -p $out/site && cp -R src/echogrid $out/site/ && rm -f $out/site/echogrid/_core*.so
 cmake --install $out/core --prefix $out/site >/dev/null
-PYTHONPATH=$out/site LD_PRELOAD="$asan $(c++ -print-file-name=libstdc++.so)" ASAN_OPTIONS=detect_leaks=0 \
-    UBSAN_OPTIONS=print_stacktrace=1 python -m pytest -s -n 0 -p no:cacheprovider tests/core
+# An editable install of the package stands in front of PYTHONPATH; it is taken away, and that is looked at.
+echo "import sys; sys.meta_path = [each for each in sys.meta_path if 'editable' not in type(each).__module__]" \
+    >$out/site/sitecustomize.py
+export PYTHONPATH=$PWD/$out/site ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1
+export LD_PRELOAD="$asan $(c++ -print-file-name=libstdc++.so)"
+python -c "from echogrid import _core; assert _core.__file__.startswith('$PWD/$out/site/'), _core.__file__"
+python -m pytest -s -n 0 -p no:cacheprovider tests/core

@@ -16,7 +16,7 @@ PLAN = {
     "grid metrics",
     "simulation": "regions targets world beam_patterns acoustics rooms drive scene echo simulate",
     "ros": "rigid transforms sonars gathering messages",
-    "bags": "unpacking ros1_stream message_types bag_file events topics clocks survey units floor mounts "
+    "bags": "recognising unpacking ros1_stream message_types bag_file events topics clocks survey units floor mounts "
     "reading_plan reader",
     "logs": "lines rows csv_header csv_log carmen formats contents",
     "models": "batches model",
@@ -104,10 +104,10 @@ def test_the_package_starts_without_jax():
 
 
 def test_the_command_starts_without_jax():
-    assert loaded_after("import echogrid.cli") & {"jax", "optax", "matplotlib"} == set()
+    assert loaded_after("import echogrid.cli.commands") & {"jax", "optax", "scipy", "matplotlib", "rosbags"} == set()
 
 
-def test_a_log_is_read_and_described_without_jax(tmp_path):
+def test_a_log_that_is_no_bag_is_read_and_described_without_what_opens_bags_and_draws(tmp_path):
     log = tmp_path / "drive.csv"
     log.write_text("t,x,y,theta,r0,r1\n0,1,2,0.5,1.5,inf\n0.5,1.25,2,0.5,,2.5\n")
     code = """
@@ -117,19 +117,7 @@ from echogrid.logs.contents import describe
 assert describe(load_log(sys.argv[1])).frames == 2
 assert Robot.load("b21").sonars == 24
 """
-    assert loaded_after(code, log) & {"jax", "optax", "scipy", "matplotlib"} == set()
-
-
-@pytest.mark.parametrize("network", ["set-network", "network"])
-def test_the_sample_is_mapped_by_the_networks_without_jax(tmp_path, network):
-    code = """
-import sys
-from echogrid.cli import main
-sys.argv = ["echogrid", "map", "--view", "--mcap", "--interpreter", sys.argv[2], "--out", sys.argv[1]]
-main()
-"""
-    assert loaded_after(code, tmp_path / "out", network) & {"jax", "jaxlib", "optax"} == set()
-    assert (tmp_path / "out" / "map.npz").exists()
+    assert loaded_after(code, log) & {"jax", "optax", "scipy", "matplotlib", "rosbags"} == set()
 
 
 def test_the_set_network_is_exported_without_jax(tmp_path):

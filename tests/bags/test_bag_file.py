@@ -12,8 +12,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bag_samples import DRIVE, FRAMES, assert_same_frames, refused, rosbag_of, with_rosbag
 from bag_writers import B21, FORMATS, START_S, Said, drive, file_of, in_order, odometry, ranging, time_of, write
-from echogrid.bags import reader as bag
 from echogrid.bags.bag_file import BagFile
+from echogrid.bags.recognising import recognises
 from echogrid.errors import InputError
 from echogrid.frame import Frame
 from echogrid.logs.formats import load_log
@@ -202,6 +202,6 @@ def test_a_file_that_is_none_is_refused_by_its_name(tmp_path, capsys, content, f
 
 
 def test_what_is_no_bag_is_left_to_the_other_readers(tmp_path):
-    assert not bag.recognises(Path(__file__))
-    assert not bag.recognises(tmp_path)
-    assert not bag.recognises(tmp_path / "absent.bag")
+    assert not recognises(Path(__file__))
+    assert not recognises(tmp_path)
+    assert not recognises(tmp_path / "absent.bag")

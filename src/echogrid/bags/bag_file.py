@@ -1,6 +1,5 @@
-"""Bags of ROS 1 and ROS 2 as files: recognising and opening them, their topics and messages, finding damage."""
+"""Bags of ROS 1 and ROS 2 as files: opening them, their topics and messages, finding damage."""
 
-import os
 from collections.abc import Collection, Generator, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -9,14 +8,12 @@ from typing import Any, NamedTuple
 from rosbags.rosbag2 import Reader
 
 from echogrid.bags.message_types import Types
+from echogrid.bags.recognising import METADATA, ending_of, files_of
 from echogrid.bags.ros1_stream import StreamedBag
-from echogrid.bags.unpacking import METADATA, as_they_were, bound, head_of, let_go, unpacked_bag
+from echogrid.bags.unpacking import as_they_were, bound, let_go, unpacked_bag
 from echogrid.errors import EchogridError, InputError
 from echogrid.files import printable
 from echogrid.packed import TooLongError, compression_of
-
-MAGIC = {b"#ROSBAG V": ".bag", b"\x89MCAP0\r\n": ".mcap", b"SQLite format 3\0": ".db3"}
-"""How the files begin, and how their names must end."""
 
 _MENDS = {
     ".bag": "; rosbag reindex may mend it",
@@ -27,26 +24,6 @@ _MENDS = {
 
 _FOREIGN = ("jsonschema", "protobuf", "ros1msg", "flatbuffer")
 """Encodings of an MCAP that the library does not know."""
-
-
-def recognises(path: Path) -> bool:
-    """Whether there is a bag: a file that begins or ends like one, or a folder with the metadata or files of one."""
-    if os.path.isdir(path):
-        return os.path.isfile(path / METADATA) or bool(_files(path))
-    return _ending(path) is not None or (path.suffix in MAGIC.values() and os.path.isfile(path))
-
-
-def _files(folder: Path) -> list[Path]:
-    """The bags in a folder."""
-    try:
-        return sorted(each for each in folder.iterdir() if each.suffix in MAGIC.values())
-    except OSError:
-        return []
-
-
-def _ending(path: Path) -> str | None:
-    head = head_of(path)
-    return next((ending for magic, ending in MAGIC.items() if head.startswith(magic)), None)
 
 
 class Topic(NamedTuple):
@@ -82,11 +59,11 @@ class BagFile:
     def __init__(self, path: Path):
         """Open a .bag, .mcap or .db3 file, or the folder of a ROS 2 bag."""
         self.name = printable(path)
-        ending = None if path.is_dir() else _ending(path)
+        ending = None if path.is_dir() else ending_of(path)
         if ending and path.suffix != ending and not compression_of(path):
             found = f"a bag that begins like {ending} and ends in {path.suffix or 'nothing'}"
             raise InputError(self.name, found, f"{ending} at the end of its name")
-        files = _files(path) if path.is_dir() else [path]
+        files = files_of(path) if path.is_dir() else [path]
         if path.is_dir() and not (path / METADATA).is_file():
             names = ", ".join(printable(each) for each in files[:6])
             raise InputError(self.name, f"a folder without {METADATA}", f"one, or a file alone: {names}")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from echogrid.bags.bag_file import BagFile, Message, recognises
+from echogrid.bags.bag_file import BagFile, Message
 from echogrid.bags.events import BEGIN_S, NO_STAMP, events
 from echogrid.bags.mounts import turned
 from echogrid.bags.reading_plan import Plan, planned
@@ -23,8 +23,6 @@ from echogrid.ros.gathering import BACK, BACK_S, Scans
 from echogrid.ros.messages import RANGE, Choice, short
 from echogrid.ros.sonars import fixed_of, mount, reading
 from echogrid.ros.transforms import Transforms
-
-__all__ = ["load", "recognises", "survey"]
 
 _LAST_S = 0.1
 """How far past the last pose of a bag readings are still taken from it."""

@@ -15,13 +15,13 @@ from typing import Any
 from rosbags.rosbag1 import reader as rosbag1
 from rosbags.rosbag2 import Reader, storage_mcap
 
+from echogrid.bags.recognising import METADATA
 from echogrid.errors import InputError
 from echogrid.files import printable, read_bytes
 from echogrid.packed import (
     TooLongError,
     compression,
     compression_of,
-    opened,
     piece_limit,
     unpack,
     unpacked,
@@ -35,25 +35,11 @@ MAX_CHUNK = 512 * 2**20
 MAX_TOGETHER = 4 * MAX_CHUNK
 """Chunks of an MCAP that overlap in time are held together; so many bytes of them at most."""
 
-METADATA = "metadata.yaml"
-"""What the folder of a ROS 2 bag holds beside the files with the messages."""
-
 type Recorded = tuple[Any, int, bytes]
 """Connection, time of recording (ns) and data of a message."""
 
 _MAX_METADATA = 10_000_000
 _OF_FILES = re.compile(r"""(["']?\bcompression_mode["']?\s*:\s*)(["']?)file\2""", re.IGNORECASE)
-
-
-def head_of(path: Path) -> bytes:
-    """How the bag in a file begins, once it is unpacked; nothing if it cannot be read or is no plain file."""
-    try:
-        if not os.path.isfile(path):
-            return b""  # to open a pipe is to wait for whoever writes to it
-        with opened(path) as file:
-            return file.read(16)
-    except (OSError, ValueError, InputError):  # told by whoever takes it for a text
-        return b""
 
 
 def unpacked_bag(path: Path, ending: str, stack: ExitStack) -> Path:

@@ -5,7 +5,6 @@ from collections.abc import Callable
 import tyro
 
 from echogrid import __version__
-from echogrid.cli.arguments import Ros
 from echogrid.cli.completion import completion
 from echogrid.cli.export import Export
 from echogrid.cli.helping import examples, folded, worded
@@ -13,7 +12,6 @@ from echogrid.cli.info import Info
 from echogrid.cli.live import Live
 from echogrid.cli.maps import Map, Score
 from echogrid.cli.simulation import Scan, Simulate, Train
-from echogrid.simulation.acoustics import Physics
 
 Command = Map | Live | Simulate | Scan | Train | Export | Score | Info
 
@@ -28,9 +26,6 @@ COMMANDS: dict[str, Callable[..., Command]] = {
     "info": Info,
 }
 
-for _each in (Map, Live, Simulate, Scan, Train, Export, Score, Info, Ros, Physics):
-    worded(_each)
-
 
 def run(args: list[str]) -> None:
     """Run the command that the arguments ask for."""
@@ -44,6 +39,8 @@ def run(args: list[str]) -> None:
 
 
 def _asked_for(args: list[str]) -> Command:
+    for command in [COMMANDS[args[0]]] if args and args[0] in COMMANDS else COMMANDS.values():
+        worded(command)
     try:
         with folded():
             return tyro.extras.subcommand_cli_from_dict(

@@ -7,6 +7,7 @@ import sys
 import textwrap
 from collections.abc import Generator
 from contextlib import contextmanager, redirect_stdout
+from functools import cache
 from typing import Annotated, Any, override
 
 import docstring_parser
@@ -62,17 +63,20 @@ def examples(args: list[str]) -> str:
     return f"examples:\n{''.join(f'  {line}\n' for line in shown.strip().splitlines())}"
 
 
+@cache
 def worded(command: Any) -> None:
-    """Have tyro show the docstrings of a command and of its options as they are written.
+    """Have tyro show the docstrings of a command and of its options, groups of them too, as they are written.
 
     Left to itself it breaks the line wherever the source does, and calls None the default of what the text has just
-    said the default of.
+    said the default of. It takes some milliseconds: for commands that nobody asks for they are saved.
     """
     texts = {doc.arg_name: doc.description or "" for doc in docstring_parser.parse_from_object(command).params}
     for option in dataclasses.fields(command):
         text = _whole(texts.get(option.name, ""))
         hint = "" if option.default in (None, ()) else None
         kind: Any = option.type
+        if dataclasses.is_dataclass(group := getattr(kind, "__origin__", kind)):
+            worded(group)
         shown: Any = Annotated[kind, arg(help=text or None, help_behavior_hint=hint)]
         command.__annotations__[option.name] = option.type = shown
     command.__doc__ = "\n\n".join(map(_whole, (command.__doc__ or "").split("\n\n")))

@@ -2,20 +2,21 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from echogrid.bags import reader as bag
-from echogrid.bags.clocks import APART_S, apart
-from echogrid.bags.survey import Survey
+from echogrid.bags.recognising import recognises
 from echogrid.cli.arguments import Ros, print_notes, robot_arg
 from echogrid.errors import escaped
 from echogrid.logs.contents import LogInfo, describe
 from echogrid.logs.formats import load_log
 from echogrid.robot import Robot
 from echogrid.ros.messages import few
+
+if TYPE_CHECKING:
+    from echogrid.bags.survey import Survey
 
 
 @dataclass(frozen=True)
@@ -35,15 +36,19 @@ class Info:
     def run(self) -> None:
         """Print what is in the log."""
         robot = Robot.load(self.robot) if self.robot else None
-        if bag.recognises(self.log):
-            _print_bag(bag.survey(self.log, robot, self.ros.choice()))
+        if recognises(self.log):
+            from echogrid.bags.reader import survey
+
+            _print_bag(survey(self.log, robot, self.ros.choice()))
         log = load_log(self.log, robot, self.ros.choice())
         _print_contents(describe(log))
         print_notes(log)
 
 
-def _print_bag(survey: Survey) -> None:
+def _print_bag(survey: "Survey") -> None:
     """What is in a bag: its topics, and each sonar with what the bag says of it."""
+    from echogrid.bags.clocks import APART_S, apart
+
     print("topic                            messages  type")
     for topic in survey.topics:
         print(escaped(f"{topic.name:32} {topic.messages:8}  {topic.type}"))

@@ -74,7 +74,7 @@ class Map:
     mcap: bool = False
     """Also write map.mcap: poses, ranges and the map as it grew as messages of ROS 2, for Foxglove and rosbags."""
     rerun: bool = False
-    """Also write map.rrd and show it in the browser by Rerun (pip install 'echogrid[viewer]'): the drive in time, the
+    """Also write map.rrd and show it in the browser by Rerun (the extra viewer): the drive in time, the
     cones, the map round the robot and the whole map. Served on 127.0.0.1 alone, until Ctrl-C."""
 
     def run(self) -> None:

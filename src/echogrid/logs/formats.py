@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from echogrid.bags import reader as bag
+from echogrid.bags import recognising as bag
 from echogrid.errors import InputError
 from echogrid.files import printable
 from echogrid.frame import Log
@@ -33,10 +33,16 @@ def _text(name: str, recognises: Callable[[str], bool], load: Callable[[Path, Ro
     return Reader(name, lambda path: recognises(first_line(path)), lambda path, robot, _: load(path, robot))
 
 
+def _bag(path: Path, robot: Robot | None, choice: Choice) -> Log:
+    from echogrid.bags.reader import load  # a tenth of a second, which no other log should cost
+
+    return load(path, robot, choice)
+
+
 READERS = (
     _text("a CARMEN log (# ..., ODOM ..., SONAR ...)", carmen.recognises, carmen.load),
     Reader("a CSV log (t,x,y,theta,r0,...)", csv_log.recognises, lambda path, robot, _: csv_log.load(path, robot)),
-    Reader("a bag of ROS", bag.recognises, bag.load, chooses=True),
+    Reader("a bag of ROS", bag.recognises, _bag, chooses=True),
 )
 """Asked from the last to the first: what ends or begins like a bag is not looked at as a text, and what begins with
 comments may be a CSV log before it is a CARMEN log."""
