@@ -48,5 +48,6 @@ END
 chmod +x $out/python
 # Tests that start a Python start it the same way.
 echo "import sys; sys.executable = '$PWD/$out/python'" >$out/site/sitecustomize.py
-PYTHONPATH=$out/site $out/python -m pytest -o addopts="-q --strict-markers --import-mode=importlib" \
+# What is compiled once is kept: qemu compiles slowly, and each test that starts a Python would do it again.
+PYTHONDONTWRITEBYTECODE= PYTHONPATH=$out/site $out/python -m pytest -o addopts="-q --strict-markers --import-mode=importlib" \
     -p no:cacheprovider tests/core
