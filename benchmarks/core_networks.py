@@ -52,8 +52,14 @@ def timed(work) -> tuple[float, float]:
     return time.process_time() - cpu, time.perf_counter() - wall
 
 
-def serve() -> None:
-    """Measure what is asked for, line by line; in the process of one side."""
+def serve(source: Path) -> None:
+    """Measure what is asked for, line by line; in the process of one side, with the package that lies in source."""
+    # An editable install finds its own package before any path does.
+    sys.meta_path[:] = [each for each in sys.meta_path if "ScikitBuild" not in type(each).__name__]
+    sys.path.insert(0, str(source))
+    import echogrid
+
+    assert echogrid.__file__ and Path(echogrid.__file__).is_relative_to(source), f"found {echogrid.__file__}"
     from echogrid import Robot, build_map, load_log
     from echogrid.mapping.mapper import Mapper
 
@@ -102,8 +108,8 @@ class Side:
     """A process that measures one of the two."""
 
     def __init__(self, root: Path):
-        env = os.environ | {"PYTHONPATH": str(root / "src"), "OPENBLAS_NUM_THREADS": "1"}
-        command = [sys.executable, "-W", "ignore", __file__, "--serve"]
+        env = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+        command = [sys.executable, "-W", "ignore", __file__, "--serve", str(root / "src")]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=env)
         self.rows = self._heard()
 
@@ -120,11 +126,11 @@ class Side:
 
 
 def main() -> None:
+    if sys.argv[1:2] == ["--serve"]:
+        serve(Path(sys.argv[2]))
+        return
     if len(sys.argv) != 2:
         raise SystemExit("core_networks: found no worktree, expected that of a commit that maps by JAX")
-    if sys.argv[1] == "--serve":
-        serve()
-        return
     from echogrid import _core
 
     core, old = (Side(Path(root).resolve()) for root in (Path(__file__).parents[1], sys.argv[1]))

@@ -26,6 +26,7 @@ namespace echogrid {
 namespace {
 
 constexpr size_t rows_of_a_part = 16;
+constexpr size_t least_scans_of_parts = 6;  // to wake another thread for fewer takes longer than they do
 constexpr size_t squares_of_a_part = 8;
 constexpr size_t most_parts_of_a_batch = 16;
 
@@ -290,10 +291,11 @@ void add_scans(const PolarTables& tables, const Array2<float>& corner, const Arr
     }
     const Kernels& kernel = kernels();
     const nb::gil_scoped_release others_run;
-    run_parts(parts_of(views.shape(0), rows_of_a_part), [&](size_t part) {
-        const int low = static_cast<int>(part * rows_of_a_part);
+    const size_t rows = views.shape(0), each = scans < least_scans_of_parts ? rows : rows_of_a_part;
+    run_parts(rows ? parts_of(rows, each) : 0, [&](size_t part) {
+        const int low = static_cast<int>(part * each);
         kernel.add_scans(window, placed.data(), static_cast<int>(scans), low,
-                         std::min(window.rows, low + static_cast<int>(rows_of_a_part)));
+                         std::min(window.rows, low + static_cast<int>(each)));
     });
 }
 

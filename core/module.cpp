@@ -40,4 +40,5 @@ NB_MODULE(_core, module) {
     echogrid::bind_paper_network(module);
     echogrid::bind_set_network(module);
     echogrid::bind_cost_to_go(module);
+    echogrid::bind_drive(module);
 }

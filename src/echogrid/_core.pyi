@@ -195,6 +195,81 @@ class SetNetwork:
             out_at: row and column of the rectangle at which they begin.
         """
 
+class Memory:
+    """What a robot remembers of where it looked from, and of what its surroundings are like; see models.networks."""
+
+    def __init__(
+        self,
+        pairs: Int32[ndarray, "pairs 2"],
+        near: Float64[ndarray, "pairs"],
+        sonars: int,
+        half_life: float | None = None,
+    ) -> None:
+        """A new drive.
+
+        Args:
+            pairs: sonars whose readings are compared.
+            near: how much each pair counts.
+            sonars: how many there are.
+            half_life: time in which a look comes to count half, s; None: it counts for ever.
+        """
+
+    def take(
+        self,
+        poses: Float64[ndarray, "scans 3"],
+        ranges: Float64[ndarray, "scans sonars"],
+        stamps: Float64[ndarray, "scans"],
+        new: Float64[ndarray, "scans"],
+    ) -> tuple[Float32[ndarray, "scans"], Float32[ndarray, "scans 4"]]:
+        """Add scans, and give what each counts and its traits, see ``models.networks.memory.Memory``."""
+
+class Recent:
+    """The last scans of a drive."""
+
+    def __init__(self, mounts: Float64[ndarray, "sonars 3"]) -> None:
+        """A new drive of a robot with its sonars at mounts (m and rad; nan: no such sonar)."""
+
+    def complete(
+        self,
+        stamp: float,
+        pose: Float64[ndarray, "3"],
+        ranges: Float64[ndarray, "sonars"],
+        mounts: Float64[ndarray, "sonars 3"] | None = None,
+    ) -> tuple[Float64[ndarray, "sonars"], Float64[ndarray, "sonars 3"], float] | None:
+        """A scan that follows, with what its silent sonars heard last.
+
+        Returns:
+            Ranges, mounts and what share of the readings is new; None where no sonar is silent that was heard.
+        """
+
+def stand(
+    way: Float64[ndarray, "poses 2"],
+    came: bool,
+    radius: float,
+    cell: float,
+    step: float,
+    gap: float,
+    weight: float,
+    stood: Float32[ndarray, "rows cols"],
+    begin: tuple[int, int],
+) -> tuple[int, int, int, int] | None:
+    """Note the floor over which a robot came.
+
+    Args:
+        way: x, y of the robot, m.
+        came: whether the first of them was noted before.
+        radius: of what is sure to have been under it, m.
+        cell: side of a cell, m.
+        step: the way between poses is followed in steps of this, m,
+        gap: unless it is longer than this, m.
+        weight: cells come to hold at least this.
+        stood: written to; cells outside of it are left out.
+        begin: its first cell [row, col], counted from the world's origin.
+
+    Returns:
+        First cell that was covered and that behind the last: row, col, row, col; None: there is none.
+    """
+
 class PaperNetwork:
     """The paper's network, bound to points of a robot's frame."""
 

@@ -278,7 +278,7 @@ class GrowingGrid:
         """
         first, last = self._bounds(low, high)
         size = self._layers["log_odds"].shape
-        if np.any(first != self._first) or np.any(last != self._first + size):
+        if first is not self._first:
             rows, cols = (int(n) for n in last - first)
             grown = self._blank_cells((rows, cols))
             if np.all(size):
@@ -298,8 +298,12 @@ class GrowingGrid:
 
     def _bounds(self, low: Int[ndarray, "2"], high: Int[ndarray, "2"]) -> tuple[Int[ndarray, "2"], Int[ndarray, "2"]]:
         """First cell, and that behind the last, of a map that also holds ``low <= [row, col] < high``."""
-        first, last = self._first, self._first + self._layers["log_odds"].shape
-        if np.all(last > first) and np.all(low >= first) and np.all(high <= last):
+        first, (rows, cols) = self._first, self._layers["log_odds"].shape
+        last = first + (rows, cols)
+        # Most are held, and are to cost little.
+        (row, col), (low_row, low_col), (high_row, high_col) = first.tolist(), low.tolist(), high.tolist()
+        fits = row <= low_row and col <= low_col and high_row <= row + rows and high_col <= col + cols
+        if rows and cols and fits:
             return first, last
         least, most = np.minimum(self._low, low), np.maximum(self._high, high)
         # Who drives on has to copy the map the more seldom the larger it is, while there is room.

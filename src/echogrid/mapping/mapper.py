@@ -119,7 +119,7 @@ class Mapper:
         where = Whereabouts()
         fits = fitting(frames, self.robot, self._latest)
         fits = passing(fits, judge) if judge else fits
-        reached = (frame for frame in fits if where.takes(float(frame.stamp), *map(float, frame.pose[:2])))
+        reached = (frame for frame in fits if where.takes(float(frame.stamp), *frame.pose[:2].tolist()))
         for batch in self._fusion.batches(reached):
             yield cleaned(batch, self.robot)
 

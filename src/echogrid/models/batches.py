@@ -19,39 +19,44 @@ WINDOW_M = 3.0
 
 
 class Placed(NamedTuple):
-    """A batch of scans, filled up, and where its patches of the global map lie."""
+    """Where the patches of the global map lie of which a batch of scans tells."""
 
-    ranges: Float[ndarray, "scans sonars"]
-    """m; nan behind the last scan."""
     first: Int[ndarray, "scans 2"]
-    """Global cell [row, col] of each patch's first cell."""
-    corner: Float[ndarray, "scans 2"]
+    """Cell [row, col] of each patch's first cell in the window that holds them all."""
+    centre: Float[ndarray, "scans 2"]
     """Centre of that cell relative to the robot, m, world axes, x first."""
     theta: Float[ndarray, "scans"]
+    corner: Int[ndarray, "2"]
+    """Global cell of the window's first."""
+    end: Int[ndarray, "2"]
+    """Global cell behind its last."""
 
 
-def placed(batch: Sequence[Frame], size: int, side: int, resolution: float) -> Placed:
-    """Fill a batch up to ``size`` scans, so that one compilation serves all."""
-    fill = size - len(batch)
-    poses = np.pad([frame.pose for frame in batch], [(0, fill), (0, 0)], mode="edge")
-    ranges = np.pad([frame.ranges for frame in batch], [(0, fill), (0, 0)], constant_values=np.nan)
+def placed(poses: Float[ndarray, "scans 3"], side: int, resolution: float) -> Placed:
+    """Where the patches of ``side`` cells (of a resolution in m) round poses (m, rad) lie."""
     first = np.floor(poses[:, :2] / resolution).astype(np.int64) - side // 2
-    corner = ((first + 0.5) * resolution - poses[:, :2]).astype(np.float32)
-    theta = np.mod(poses[:, 2], 2 * np.pi).astype(np.float32)
-    return Placed(ranges.astype(np.float32), first[:, ::-1], corner, theta)
+    centre = ((first + 0.5) * resolution - poses[:, :2]).astype(np.float32)
+    theta = np.mod(poses[:, 2], 2 * np.pi).astype(np.float32).astype(float)
+    first = first[:, ::-1]
+    corner, end = first.min(axis=0), first.max(axis=0) + side
+    return Placed((first - corner).astype(np.int32), centre, theta, corner, end)
 
 
 def near_each_other(frames: Iterable[Frame], span_s: float = np.inf) -> Iterator[list[Frame]]:
     """Frames in their order, as many together as one window of the map holds, and of at most so long a time."""
     batch: list[Frame] = []
-    low = high = np.zeros(2)
+    west = east = south = north = 0.0
     for frame in frames:
-        place = frame.pose[:2]
-        low, high = (np.minimum(low, place), np.maximum(high, place)) if batch else (place, place)
-        late = bool(batch) and frame.stamp - batch[0].stamp > span_s
-        if batch and (len(batch) == BATCH or late or np.any(high - low > WINDOW_M)):
-            yield batch
-            batch, low, high = [], place, place
+        x, y, _ = frame.pose.tolist()
+        if batch:
+            west, east, south, north = min(west, x), max(east, x), min(south, y), max(north, y)
+            late = frame.stamp - batch[0].stamp > span_s
+            if len(batch) == BATCH or late or east - west > WINDOW_M or north - south > WINDOW_M:
+                yield batch
+                batch = []
+        if not batch:
+            west = east = x
+            south = north = y
         batch.append(frame)
     if batch:
         yield batch

@@ -149,12 +149,11 @@ class _Patches(Fusion):
         look, rule = self._look, self._rule
 
         def work() -> Evidence:
-            at = placed(batch, len(batch), self._side, self._resolution)
-            corner, end = at.first.min(axis=0), at.first.max(axis=0) + self._side
-            first = (at.first - corner).astype(np.int32)
-            told = coded(look(at.ranges))
-            add = partial(rule.add, told, at.ranges, at.corner, at.theta.astype(float), first, self._resolution)
-            return Evidence(corner, end, _Told(add))
+            at = placed(np.array([frame.pose for frame in batch]), self._side, self._resolution)
+            ranges = np.array([frame.ranges for frame in batch], dtype=np.float32)
+            told = coded(look(ranges))
+            add = partial(rule.add, told, ranges, at.centre, at.theta, at.first, self._resolution)
+            return Evidence(at.corner, at.end, _Told(add))
 
         return work
 

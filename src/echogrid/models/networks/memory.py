@@ -7,17 +7,17 @@ sonars heard that do not fire in this scan but did just before: one alone is rea
 its neighbours.
 """
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
+from echogrid import _core
 from echogrid.frame import Frame
-from echogrid.geometry import compose, inverse, wrap
+from echogrid.geometry import wrap
 
 PLACE_M, TURN_RAD = 0.1, np.deg2rad(15.0)
 """Poses in the same cell of this lattice see the same."""
@@ -26,7 +26,7 @@ NEIGHBOUR_RAD = 0.35
 """Readings of sonars are compared whose axes lie about so near to each other."""
 
 FAR_M = 4.0
-"""Readings beyond are all alike, no echo among them."""
+"""Readings beyond are all alike, no echo among them. This and what follows is held in core/bind_drive.cpp as well."""
 
 SAME_M = 0.08
 """Readings farther apart do not agree."""
@@ -81,11 +81,9 @@ class Memory:
             mounts: of the sonars, m and rad.
             half_life: time in which a look comes to count half, s; None: a look counts for ever.
         """
-        self._half_life = half_life
-        self._count: dict[tuple[int, int, int], tuple[float, float]] = {}
-        self._sonars = max(1, int(np.sum(~np.isnan(mounts[:, 2]))))
-        *self._pairs, self._near = neighbours(mounts)
-        self._sums, self._counts = np.zeros(TRAITS), np.zeros(TRAITS)
+        sonars = max(1, int(np.sum(~np.isnan(mounts[:, 2]))))
+        first, second, near = neighbours(mounts)
+        self._core = _core.Memory(np.column_stack([first, second]).astype(np.int32), near, sonars, half_life)
 
     def take(
         self,
@@ -99,35 +97,8 @@ class Memory:
         ``stamps`` (s) are needed where looks fade. ``new``: share of the readings that no scan before had, see
         ``Recent``.
         """
-        cell = np.column_stack([poses[:, :2] / PLACE_M, np.mod(poses[:, 2], 2 * np.pi) / TURN_RAD])
-        weight = np.empty(len(poses), dtype=np.float32)
-        times = np.zeros(len(poses)) if stamps is None or self._half_life is None else stamps / self._half_life
-        fired, echo = ~np.isnan(ranges), np.isfinite(ranges)
-        new = np.broadcast_to(new, len(poses))
-        shares = new * np.sum(fired, axis=1) / self._sonars
-        for i, (x, y, turn) in enumerate(np.floor(cell).astype(np.int64).tolist()):
-            count, time = self._count.get((x, y, turn), (0.0, 0.0))
-            count = shares[i] + (count * 2 ** min(time - times[i], 0.0) if count else 0.0)
-            self._count[x, y, turn] = count, times[i]
-            weight[i] = new[i] / max(count, 1.0)
-        reading = np.where(fired, np.minimum(ranges, FAR_M), 0.0)
-        first, second = self._pairs
-        apart = np.abs(reading[:, first] - reading[:, second])
-        both = fired[:, first] & fired[:, second]
-        heard = echo[:, first] & echo[:, second]
-        counts = np.stack([fired.sum(axis=1), heard @ self._near, both @ self._near, fired.sum(axis=1)], axis=1)
-        sums = [
-            np.sum(fired & ~echo, axis=1),
-            (heard * np.maximum(1 - apart / SAME_M, 0.0)) @ self._near,
-            (both * np.minimum(apart, 1.0)) @ self._near,
-            np.sum(reading, axis=1) / FAR_M,
-        ]
-        traits = np.empty((len(poses), TRAITS), dtype=np.float32)
-        for i, (total, count) in enumerate(zip(np.stack(sums, axis=1), counts, strict=True)):
-            self._sums = FADE * self._sums + total
-            self._counts = FADE * self._counts + count
-            traits[i] = (self._sums + 0.5 * PRIOR) / (self._counts + PRIOR)
-        return Recalled(weight, traits)
+        stamps = np.zeros(len(poses)) if stamps is None else stamps
+        return Recalled(*self._core.take(poses, ranges, stamps, np.full(len(poses), new)))
 
 
 class Recent:
@@ -135,8 +106,7 @@ class Recent:
 
     def __init__(self, mounts: Float[ndarray, "sonars 3"]):
         """A new drive of a robot with its sonars at mounts (m and rad; nan: no such sonar)."""
-        self._mounts, self._there = mounts, ~np.isnan(mounts[:, 2])
-        self._frames: deque[Frame] = deque(maxlen=RECENT_FRAMES)
+        self._core = _core.Recent(mounts)
 
     def completed(self, frames: Sequence[Frame]) -> tuple[Sequence[Frame], Float[ndarray, "scans"]]:
         """Scans that follow, completed with what their silent sonars heard last and from where that was.
@@ -144,33 +114,10 @@ class Recent:
         Returns:
             The scans, and what share of the readings of each is new.
         """
-        new = np.ones(len(frames))
-        silent = np.isnan(np.array([frame.ranges for frame in frames])) & self._there
-        whole = list(frames)
-        for i in range(len(frames)):
-            if silent[i].any():
-                whole[i], new[i] = self._completed(frames[i], silent[i])
-            self._frames.append(frames[i])
+        whole, new = list(frames), np.ones(len(frames))
+        for i, frame in enumerate(frames):
+            found = self._core.complete(frame.stamp, frame.pose, frame.ranges, frame.mounts)
+            if found is not None:
+                ranges, mounts, new[i] = found
+                whole[i] = replace(frame, ranges=ranges, mounts=mounts)
         return whole, new
-
-    def _completed(self, frame: Frame, silent: Bool[ndarray, "sonars"]) -> tuple[Frame, float]:
-        ranges = frame.ranges.copy()
-        mounts = (self._mounts if frame.mounts is None else frame.mounts).copy()
-        missing = silent
-        for before in reversed(self._frames):
-            heard = missing & ~np.isnan(before.ranges)
-            if not heard.any():
-                continue
-            moved = compose(inverse(frame.pose), before.pose)
-            near = np.hypot(*moved[:2]) <= RECENT_M and abs(moved[2]) <= RECENT_RAD
-            if near and abs(frame.stamp - before.stamp) <= RECENT_S:
-                looked = self._mounts if before.mounts is None else before.mounts
-                ranges[heard], mounts[heard] = before.ranges[heard], compose(moved, looked[heard])
-                missing = missing & ~heard
-                if not missing.any():
-                    break
-        taken = np.sum(silent) - np.sum(missing)
-        if not taken:
-            return frame, 1.0
-        fired = np.sum(self._there) - np.sum(silent)
-        return replace(frame, ranges=ranges, mounts=mounts), float(fired / (fired + taken))

@@ -181,10 +181,9 @@ class _Sums(Fusion):
     @override
     def read(self, batch: Sequence[Frame], filled: bool = False) -> Callable[[], Evidence]:
         batch, new = self._recent.completed(batch)
-        stamps = np.array([frame.stamp for frame in batch])
-        recalled = self._memory.take(
-            np.array([frame.pose for frame in batch]), np.array([frame.ranges for frame in batch]), stamps, new
-        )
+        stamps, poses = np.array([frame.stamp for frame in batch]), np.array([frame.pose for frame in batch])
+        ranges = np.array([frame.ranges for frame in batch])
+        recalled = self._memory.take(poses, ranges, stamps, new)
         weight = recalled.weight
         if self._half_life is not None:
             if (stamps[0] - self._epoch) / self._half_life > _RENEW:
@@ -194,15 +193,14 @@ class _Sums(Fusion):
         array, mounts = self._array, self._mounts(batch)
         if mounts is not None and not self._ends and ends_within(mounts, self.robot.max_ranges_m):
             array = self._array_of(True)
-        at = placed(batch, len(batch), self._side, self._network.cell_m)
-        corner, end = at.first.min(axis=0), at.first.max(axis=0) + self._side
-        place = at.corner, at.theta.astype(float), (at.first - corner).astype(np.int32), weight, self._network.cell_m
+        at = placed(poses, self._side, self._network.cell_m)
+        place = at.centre, at.theta, at.first, weight, self._network.cell_m
         stamp, epoch = float(stamps.max()), self._epoch
-        poses, radius = np.array([frame.pose[:2] for frame in batch]), STOOD_SHARE * self.robot.footprint_radius_m
+        radius = STOOD_SHARE * self.robot.footprint_radius_m
 
         def work() -> Evidence:
-            tables = self._core.tables(array, at.ranges, recalled.traits, mounts)
-            return Evidence(corner, end, _Told(partial(tables.add, *place), stamp, epoch, poses, radius))
+            tables = self._core.tables(array, ranges, recalled.traits, mounts)
+            return Evidence(at.corner, at.end, _Told(partial(tables.add, *place), stamp, epoch, poses[:, :2], radius))
 
         return work
 
@@ -232,39 +230,20 @@ class _Sums(Fusion):
 
     def _stand(self, grown: GrowingGrid, told: _Told) -> None:
         """Note the floor on which the robot has stood, and over which it has come."""
-        way = told.poses if self._last is None else np.concatenate([self._last[None], told.poses])
+        came = self._last is not None
+        way = np.concatenate([self._last[None], told.poses]) if came else told.poses
         self._last = told.poses[-1]
         if told.radius <= 0:
             return
-        steps = np.hypot(*np.diff(way, axis=0).T)
         step = stood_step(told.radius)
-        parts = np.where(steps <= STOOD_GAP_M, np.ceil(steps / step), 1).astype(int)
-        at = [
-            a + (b - a) * (np.arange(1, n + 1) / n)[:, None]
-            for a, b, n in zip(way, way[1:], parts, strict=False)
-            if n
-        ]
-        points = np.concatenate([told.poses[:1], *at])
-        cell = self._network.cell_m
-        half = int(np.ceil(told.radius / cell))
-        offset = np.stack(np.meshgrid(np.arange(-half, half + 1), np.arange(-half, half + 1)), axis=-1).reshape(-1, 2)
-        home = np.floor(points / cell).astype(np.int64)
-        # Every cell round a point whose middle the disc covers.
-        middle = (home[:, None] + offset + 0.5) * cell - points[:, None]
-        cells = (home[:, None] + offset)[np.sum(middle**2, axis=-1) < told.radius**2]
-        if not len(cells):
-            return
-        low = cells.min(axis=0)
-        rows, cols = (int(n) for n in (cells.max(axis=0) - low + 1)[::-1])
-        # A robot may be larger than what its sonars tell of.
-        corner, (rows, cols) = grown.reserved(low[::-1], (rows, cols))
-        stood = grown.window(corner, (rows, cols))["stood"]
         weight = 1.0 if self._half_life is None else np.exp2((told.stamp - told.epoch) / self._half_life)
-        x, y = (cells - corner[::-1]).T
-        held = (x >= 0) & (x < cols) & (y >= 0) & (y < rows)
-        x, y = x[held], y[held]
-        stood[y, x] = np.maximum(stood[y, x], np.float32(weight))
-        self._changed(corner, corner + np.array([rows, cols]))
+        # A robot may be larger than what its sonars tell of.
+        begin, size = grown.reserved()
+        stood, begin = grown.window(begin, size)["stood"], _pair(begin)
+        cell = self._network.cell_m
+        found = _core.stand(way, came, told.radius, cell, step, STOOD_GAP_M, weight, stood, begin)
+        if found:
+            self._changed(np.array(found[:2]), np.array(found[2:]))
 
     def _renew(self, grown: GrowingGrid, epoch: float) -> None:
         """Bring the sums to another epoch, so that they do not grow without end."""
