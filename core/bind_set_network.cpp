@@ -220,27 +220,33 @@ class Network {
         r.padded = static_cast<int>(parts_of(static_cast<size_t>(r.wide), 16) * 16);
         r.pitch = r.padded + 2 * MARGIN;
         const auto high = static_cast<size_t>(r.high), pitch = static_cast<size_t>(r.pitch);
-        const size_t parts = parts_of(high, squares_of_a_part), units = static_cast<size_t>(r.around.units);
+        const size_t most_parts = parts_of(high, squares_of_a_part), units = static_cast<size_t>(r.around.units);
         const size_t told = high * PLANES * pitch, hidden = high * units * pitch;
-        const size_t each = static_cast<size_t>(12 * r.pitch + 16 * (CELL_FEATURES + 2 * r.around.passed));
+        const size_t each = static_cast<size_t>(12 * r.pitch + 16 * (CELL_FEATURES + 3 * r.around.passed));
         const std::lock_guard<std::mutex> alone(room_.lock);
-        r.told = room_.of(told + 2 * hidden + parts * each);
+        r.told = room_.of(told + 2 * hidden + most_parts * each);
         r.hidden[0] = r.told + told, r.hidden[1] = r.hidden[0] + hidden;
         float* const own = r.hidden[1] + hidden;
-        const auto in_parts = [&](const auto& work) {
-            run_parts(parts, [&](size_t part) {
-                const size_t first = part * squares_of_a_part;
-                work(static_cast<int>(first), static_cast<int>(std::min(high, first + squares_of_a_part)),
-                     own + part * each);
+        // Rows of squares within so many of those that are written.
+        const auto in_parts = [&](int around, const auto& work) {
+            const int low = std::max(0, r.out_row / PACK - around);
+            const int end = std::min(r.high, (r.out_row + r.out_rows + PACK - 1) / PACK + around);
+            if (end <= low) return;
+            run_parts(parts_of(static_cast<size_t>(end - low), squares_of_a_part), [&](size_t part) {
+                const int first = low + static_cast<int>(part * squares_of_a_part);
+                work(first, std::min(end, first + static_cast<int>(squares_of_a_part)), own + part * each);
             });
         };
-        in_parts([&](int first, int last, float* room) { kernel.tell_cells(r, first, last, room); });
+        int around = units ? REACH / PACK : 0;
+        in_parts(around, [&](int first, int last, float* room) { kernel.tell_cells(r, first, last, room); });
         if (units) {
-            in_parts([&](int first, int last, float*) { kernel.begin_stack(r, first, last); });
-            for (int layer = 0; layer < LAYERS; ++layer)
-                in_parts([&](int first, int last, float*) { kernel.convolve(r, layer, first, last); });
+            in_parts(around, [&](int first, int last, float*) { kernel.begin_stack(r, first, last); });
+            for (int layer = 0; layer < LAYERS; ++layer) {
+                around -= DILATIONS[layer];
+                in_parts(around, [&](int first, int last, float*) { kernel.convolve(r, layer, first, last); });
+            }
         }
-        in_parts([&](int first, int last, float* room) { kernel.finish_cells(r, first, last, room); });
+        in_parts(0, [&](int first, int last, float* room) { kernel.finish_cells(r, first, last, room); });
     }
 
     std::vector<float> held_;

@@ -16,7 +16,7 @@ template <int K, int T, typename Begin, typename Done>
 inline __attribute__((always_inline)) void tile(const float* w, int outs, int ins, const float* x, int row,
                                                 const Begin& begin, const Done& done) {
     Floats sum[K][T];
-#pragma GCC unroll 8
+#pragma GCC unroll 16
     for (int k = 0; k < K; ++k)
 #pragma GCC unroll 8
         for (int t = 0; t < T; ++t) sum[k][t] = begin(k, t);
@@ -25,14 +25,14 @@ inline __attribute__((always_inline)) void tile(const float* w, int outs, int in
         Floats at[T];
 #pragma GCC unroll 8
         for (int t = 0; t < T; ++t) at[t] = load(x + t * lanes);
-#pragma GCC unroll 8
+#pragma GCC unroll 16
         for (int k = 0; k < K; ++k) {
             const Floats weight = all(w[k]);
 #pragma GCC unroll 8
             for (int t = 0; t < T; ++t) sum[k][t] += weight * at[t];
         }
     }
-#pragma GCC unroll 8
+#pragma GCC unroll 16
     for (int k = 0; k < K; ++k)
 #pragma GCC unroll 8
         for (int t = 0; t < T; ++t) done(k, t, sum[k][t]);

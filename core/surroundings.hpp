@@ -81,12 +81,23 @@ void tell_cells(const ReadOut& r, int first, int last, float* room) {
     }
 }
 
-// One after the other as many columns of vectors as a tile holds: work<T>(col).
+// One after the other as many units and columns of vectors as a tile holds: work<K, T>(k, col). What is narrower than
+// the widest tile is higher, so that no sum waits for the one before; units are a multiple of 4.
 template <typename Work>
-inline void along_columns(int columns, const Work& work) {
+inline void in_tiles(int units, int columns, const Work& work) {
+    constexpr int HALF = TILE / 2, ONE = TILE == 6 ? 16 : 8;
     int col = 0;
-    for (; col + TILE * lanes <= columns; col += TILE * lanes) work.template operator()<TILE>(col);
-    for (; col < columns; col += lanes) work.template operator()<1>(col);
+    for (; col + TILE * lanes <= columns; col += TILE * lanes)
+        for (int k = 0; k < units; k += 4) work.template operator()<4, TILE>(k, col);
+    const auto narrow = [&]<int K, int T>() {
+        for (; col + T * lanes <= columns; col += T * lanes) {
+            int k = 0;
+            for (; k + K <= units; k += K) work.template operator()<K, T>(k, col);
+            for (; k < units; k += 4) work.template operator()<4, T>(k, col);
+        }
+    };
+    if constexpr (HALF > 1) narrow.template operator()<8, HALF>();
+    narrow.template operator()<ONE, 1>();
 }
 
 // Past the rim all is unknown, and stays so.
@@ -108,16 +119,14 @@ void begin_stack(const ReadOut& r, int first, int last) {
     for (int square = first; square < last; ++square) {
         const float* from = r.told + static_cast<int64_t>(square) * PLANES * r.pitch + MARGIN;
         float* to = r.hidden[0] + static_cast<int64_t>(square) * units * r.pitch;
-        along_columns(r.padded, [&]<int T>(int col) {
-            for (int k = 0; k < units; k += 4) {
-                tile<4, T>(
-                    r.around.in + k, units, PACK * PACK * CELL_FEATURES, from + col, r.pitch,
-                    [&](int i, int) { return all(r.around.begin[k + i]); },
-                    [&](int i, int t, Floats sum) {
-                        const int at = col + t * lanes;
-                        store(to + (k + i) * r.pitch + MARGIN + at, inside(r, at, larger(sum, 0.0F)));
-                    });
-            }
+        in_tiles(units, r.padded, [&]<int K, int T>(int k, int col) {
+            tile<K, T>(
+                r.around.in + k, units, PACK * PACK * CELL_FEATURES, from + col, r.pitch,
+                [&](int i, int) { return all(r.around.begin[k + i]); },
+                [&](int i, int t, Floats sum) {
+                    const int at = col + t * lanes;
+                    store(to + (k + i) * r.pitch + MARGIN + at, inside(r, at, larger(sum, 0.0F)));
+                });
         });
         clear_margins(r, to, units);
     }
@@ -132,27 +141,25 @@ void convolve(const ReadOut& r, int layer, int first, int last) {
     for (int square = first; square < last; ++square) {
         float* to = r.hidden[(layer + 1) % 2] + square * size;
         const int low = square < dilation ? 1 : 0, high = square + dilation < r.high ? 3 : 2;
-        along_columns(r.padded, [&]<int T>(int col) {
-            for (int k = 0; k < units; k += 4) {
-                Floats sum[4][T];
-                for (int i = 0; i < 4; ++i) {
-                    for (int t = 0; t < T; ++t) {
-                        const float* own = hidden + square * size + (k + i) * r.pitch + MARGIN + col + t * lanes;
-                        sum[i][t] = load(own) + r.around.bias[layer][k + i];
-                    }
+        in_tiles(units, r.padded, [&]<int K, int T>(int k, int col) {
+            Floats sum[K][T];
+            for (int i = 0; i < K; ++i) {
+                for (int t = 0; t < T; ++t) {
+                    const float* own = hidden + square * size + (k + i) * r.pitch + MARGIN + col + t * lanes;
+                    sum[i][t] = load(own) + r.around.bias[layer][k + i];
                 }
-                for (int tap = 3 * low; tap < 3 * high; ++tap) {
-                    const float* from = hidden + (square + (tap / 3 - 1) * dilation) * size + MARGIN + col;
-                    tile<4, T>(
-                        r.around.layers[layer] + tap * units * units + k, units, units,
-                        from + (tap % 3 - 1) * dilation, r.pitch, [&](int i, int t) { return sum[i][t]; },
-                        [&](int i, int t, Floats total) { sum[i][t] = total; });
-                }
-                for (int i = 0; i < 4; ++i) {
-                    for (int t = 0; t < T; ++t) {
-                        const int at = col + t * lanes;
-                        store(to + (k + i) * r.pitch + MARGIN + at, inside(r, at, larger(sum[i][t], 0.0F)));
-                    }
+            }
+            for (int tap = 3 * low; tap < 3 * high; ++tap) {
+                const float* from = hidden + (square + (tap / 3 - 1) * dilation) * size + MARGIN + col;
+                tile<K, T>(
+                    r.around.layers[layer] + tap * units * units + k, units, units, from + (tap % 3 - 1) * dilation,
+                    r.pitch, [&](int i, int t) { return sum[i][t]; },
+                    [&](int i, int t, Floats total) { sum[i][t] = total; });
+            }
+            for (int i = 0; i < K; ++i) {
+                for (int t = 0; t < T; ++t) {
+                    const int at = col + t * lanes;
+                    store(to + (k + i) * r.pitch + MARGIN + at, inside(r, at, larger(sum[i][t], 0.0F)));
                 }
             }
         });
@@ -180,20 +187,21 @@ inline void finish_row(const ReadOut& r, int square, int a, float* row, float* r
     float* passed = room + (CELL_FEATURES + w.passed) * lanes;
     for (int col = 0; col < r.padded; col += lanes) {
         Floats log_odds[PACK], known[PACK];
+        int p = 0;
+        const auto pass = [&]<int K>() {
+            for (; p + K <= PACK * w.passed; p += K) {
+                tile<K, 1>(
+                    w.pass + PACK * a * w.passed + p, PACK * PACK * w.passed, w.units, hidden + col, r.pitch,
+                    [](int, int) { return Floats{}; },
+                    [&](int i, int, Floats sum) { store(passed + (p + i) * lanes, sum); });
+            }
+        };
+        if (w.units) pass.template operator()<8>(), pass.template operator()<1>();
         for (int b = 0; b < PACK; ++b) {
             const int cell = PACK * a + b;
             const float* own = told + cell * CELL_FEATURES * r.pitch + col;
-            if (w.units) {
-                for (int p = 0; p < w.passed; ++p) {
-                    Floats sum{};
-                    for (int m = 0; m < w.units; ++m)
-                        sum += w.pass[(m * PACK * PACK + cell) * w.passed + p] * load(hidden + m * r.pitch + col);
-                    store(passed + p * lanes, sum);
-                }
-                log_odds[b] = corrected(r, own, passed, room);
-            } else {
-                log_odds[b] = 4.0F * load(own + 4 * r.pitch);
-            }
+            log_odds[b] =
+                w.units ? corrected(r, own, passed + b * w.passed * lanes, room) : 4.0F * load(own + 4 * r.pitch);
             const Floats stood = load(own + 6 * r.pitch);
             known[b] = load(told + (PACK * PACK * CELL_FEATURES + cell) * r.pitch + col);
             log_odds[b] = known[b] > 0.0F ? log_odds[b] : (stood > 0.0F ? log_odds[b] : Floats{});
@@ -207,7 +215,7 @@ inline void finish_row(const ReadOut& r, int square, int a, float* row, float* r
     }
 }
 
-// Rows of squares: what is read out of their cells. Room for 4 padded + 16 (CELL_FEATURES + 2 passed) floats.
+// Rows of squares: what is read out of their cells. Room for 4 padded + 16 (CELL_FEATURES + 3 passed) floats.
 void finish_cells(const ReadOut& r, int first, int last, float* room) {
     const Flushing flushing;
     for (int square = first; square < last; ++square) {
