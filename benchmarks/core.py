@@ -1,6 +1,10 @@
 """Speed of the compiled core against what Python has, interleaved in one run; size and start of the core.
 
-Target: scores of poses at least 30 times as fast as numpy does them.
+    python -m benchmarks.core [OLD]
+
+OLD is a worktree of a commit that maps by JAX, which the networks are compared with (benchmarks.core_networks).
+Targets: maps at least 5 times as fast as JAX makes them, of one scan alone 10 times, at least 40 % of the floor;
+scores of poses at least 30 times as fast as numpy has them.
 
 Each row is timed in turns, core and other, on one thread. Times are of the CPU, the least of all turns: what else the
 machine does cannot be told from them.
@@ -18,6 +22,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from benchmarks import core_networks
 from echogrid import _core
 
 TURNS = 7
@@ -164,6 +169,8 @@ def main() -> None:
     print("cost to go, core and scipy's dijkstra without the making of its graph")
     costs_to_go()
     start_and_size()
+    if len(sys.argv) > 1:
+        core_networks.compare(sys.argv[1])
 
 
 if __name__ == "__main__":

@@ -1,8 +1,6 @@
-"""The networks in the compiled core against the same in JAX, as ratios in one run.
+"""The networks in the compiled core against the same in JAX, as ratios in one run; of benchmarks.core.
 
-    python -m benchmarks.core_networks OLD
-
-OLD is a worktree of a commit that maps by JAX. Each side has a process of its own, and they take turns. CPU time, the
+Each side has a process of its own, and they take turns. CPU time, the
 least of several runs, for other work on the machine lengthens it least; the wall's beside it. For the floor the peak
 of the processor and the stream of its memory are measured with numpy on one thread.
 """
@@ -59,7 +57,7 @@ def serve(source: Path) -> None:
     sys.path.insert(0, str(source))
     import echogrid
 
-    assert echogrid.__file__ and Path(echogrid.__file__).is_relative_to(source), f"found {echogrid.__file__}"
+    assert Path(str(echogrid.__file__)).is_relative_to(source), f"found {echogrid.__file__}"
     from echogrid import Robot, build_map, load_log
     from echogrid.mapping.mapper import Mapper
 
@@ -72,27 +70,27 @@ def serve(source: Path) -> None:
             last = grid
         return last
 
+    driven = Mapper(robot)
+    driven.add(sample)
+    driven.grid()
+
     def alone(read):
-        mapper = Mapper(robot)
-        mapper.add(sample[:ALONE])
-        _ = mapper.grid().log_odds
-        for frame in sample[ALONE : 2 * ALONE]:
-            mapper.add([frame])
+        for frame in sample[:ALONE]:
+            driven.add([frame])
             if read:
-                _ = mapper.grid().log_odds
+                driven.grid()
 
-    def read():
-        mapper.grid()
-
-    mapper = Mapper(robot)
+    # Where evidence fades, each read-out is of all cells.
+    mapper = Mapper(robot, half_life=1e6)
     mapper.add(sample)
     whole = mapper.grid().shape
     rows = {
         "set-network, bulk": (lambda: bulk("set-network", 0.04), SCANS),
+        "set-network, bulk, told in 12 cm": (lambda: bulk("set-network", 0.12), SCANS),
         "network, bulk, 12 cm": (lambda: bulk("network", 0.12), SCANS),
         "set-network, scan alone": (lambda: alone(False), ALONE),
         "set-network, scan alone and read out": (lambda: alone(True), ALONE),
-        f"read-out of {whole[0]} x {whole[1]} cells": (lambda: (mapper.add(sample), read()), 1),
+        f"read-out of {whole[0]} x {whole[1]} cells": (mapper.grid, 1),
     }
     print(json.dumps(list(rows)), flush=True)
     for line in sys.stdin:
@@ -109,7 +107,7 @@ class Side:
 
     def __init__(self, root: Path):
         env = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
-        command = [sys.executable, "-W", "ignore", __file__, "--serve", str(root / "src")]
+        command = [sys.executable, "-W", "ignore", __file__, str(root / "src")]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=env)
         self.rows = self._heard()
 
@@ -125,20 +123,16 @@ class Side:
         return json.loads(self._process.stdout.readline())
 
 
-def main() -> None:
-    if sys.argv[1:2] == ["--serve"]:
-        serve(Path(sys.argv[2]))
-        return
-    if len(sys.argv) != 2:
-        raise SystemExit("core_networks: found no worktree, expected that of a commit that maps by JAX")
+def compare(root: str, rounds: int = ROUNDS) -> None:
+    """Print the table of the networks against those of the worktree."""
     from echogrid import _core
 
-    core, old = (Side(Path(root).resolve()) for root in (Path(__file__).parents[1], sys.argv[1]))
-    print(f"networks: instructions {_core.instructions()}, {_core.threads()} threads; us of CPU (of the clock)")
+    core, old = (Side(Path(root).resolve()) for root in (Path(__file__).parents[1], root))
+    print(f"networks: instructions {_core.instructions()}; us of CPU (of the clock)")
     least = {}
     for row, of_old in zip(core.rows, old.rows, strict=True):
         found = {"core": [], "jax": []}
-        for _ in range(ROUNDS + 1):
+        for _ in range(rounds + 1):
             found["core"].append(core.ask(row))
             found["jax"].append(old.ask(of_old))
         # The first run compiles.
@@ -159,4 +153,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    serve(Path(sys.argv[1]))

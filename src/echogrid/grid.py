@@ -299,7 +299,7 @@ class GrowingGrid:
     def _bounds(self, low: Int[ndarray, "2"], high: Int[ndarray, "2"]) -> tuple[Int[ndarray, "2"], Int[ndarray, "2"]]:
         """First cell, and that behind the last, of a map that also holds ``low <= [row, col] < high``."""
         first, (rows, cols) = self._first, self._layers["log_odds"].shape
-        last = first + (rows, cols)
+        last = first + np.array([rows, cols])
         # Most are held, and are to cost little.
         (row, col), (low_row, low_col), (high_row, high_col) = first.tolist(), low.tolist(), high.tolist()
         fits = row <= low_row and col <= low_col and high_row <= row + rows and high_col <= col + cols

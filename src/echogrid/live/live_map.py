@@ -4,7 +4,7 @@ from collections import Counter, deque
 from collections.abc import Iterable
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from math import inf, nan
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -92,23 +92,19 @@ class Snapshot:
 class LiveMap:
     """The map that the scans of an array of sonars make."""
 
-    def __init__(
-        self, array: SonarArray, network: SetNetwork, settings: Settings, refused: Counter[str], stamp: float
-    ):
-        """An empty map; the network is compiled, which takes seconds.
+    def __init__(self, array: SonarArray, network: SetNetwork, settings: Settings, refused: Counter[str]):
+        """An empty map.
 
         Args:
             array: the sonars.
             network: the sensor model.
             settings: what the user chose.
             refused: where it is counted which scans are not mapped, by reason.
-            stamp: about when the first scan was, s.
         """
         self.scans = 0
         """How many are in the map."""
         self.array, self._network, self._settings, self._refused = array, network, settings, refused
         self._mapper = Mapper(array.robot, network, settings.resolution, settings.half_life)
-        self._compile(stamp)
         self._judge, self._whereabouts = Judge(array.robot), Whereabouts()
         self._unjudged: list[Frame] = []
         self._notes: dict[str, int] = {}
@@ -119,20 +115,10 @@ class LiveMap:
         self._last: Frame | None = None
         self._changed, self._due = False, -inf
 
-    def _compile(self, stamp: float) -> None:
-        """Have the network compiled now, not when the first scan waits for it."""
-        far, robot = np.array([1e6, 1e6, 0.0]), self._mapper.robot
-        self._mapper.prepare([Frame(stamp, far, np.full(robot.sonars, nan), mounts=robot.mounts)])()
-
-    def equip(self, stamp: float) -> None:
-        """Go on with the array as it has grown; scans of the array as it was are to be mapped before.
-
-        Args:
-            stamp: about when its first scan will be, s.
-        """
+    def equip(self) -> None:
+        """Go on with the array as it has grown; scans of the array as it was are to be mapped before."""
         self._mapper.equip(self.array.robot)
         self._notes, self._judge = self.notes(), Judge(self.array.robot)
-        self._compile(stamp)
 
     @property
     def busy(self) -> bool:
@@ -201,13 +187,11 @@ class LiveMap:
 
     def _map(self, most: int) -> bool:
         """Put scans into the map; whether there was one."""
-        before, robot = self.scans, self._mapper.robot
+        before = self.scans
         for _ in range(min(most, len(self._ready))):
             frame = self._ready.popleft()
-            # Always one scan, always with mounts: that is one program to compile, which takes seconds.
-            mounts = robot.mounts if frame.mounts is None else frame.mounts
             try:
-                self._mapper.add([replace(frame, mounts=mounts, ranges=robot.clean(frame.ranges))])
+                self._mapper.add([frame])
             except UsageError:  # the map is as it was
                 self._refused["a scan whose stamp, pose or mounts cannot be"] += 1
                 continue

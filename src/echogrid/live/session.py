@@ -174,7 +174,7 @@ class Live:
         if not frames or not mounts:
             return
         array = SonarArray(*frames, mounts, hearing.sonars, hearing.transforms)
-        self._map = LiveMap(array, self._network, self.settings, self._refused, hearing.newest)
+        self._map = LiveMap(array, self._network, self.settings, self._refused)
         fixed, base = frames
         self._notices.append(f"mapping in {fixed} with {len(mounts)} sonars of {base}: {listed(mounts)}")
         hearing.begin(array)
@@ -209,5 +209,5 @@ class Live:
         live_map.catch_up(REACH_S)  # they are scans of the array as it was
         self._refused.update(array.scans.dropped)
         array.grow(new, hearing.sonars, hearing.transforms)
-        live_map.equip(hearing.newest)
+        live_map.equip()
         self._notices.append(f"new: {listed(new)}")

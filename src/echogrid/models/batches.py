@@ -1,6 +1,6 @@
 """Scans that are read together, and where their patches of the map lie."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
