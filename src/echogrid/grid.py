@@ -276,9 +276,9 @@ class GrowingGrid:
         Raises:
             UsageError: the map would pass MAX_CELLS or MAX_BYTES; it is as it was.
         """
-        first, last = self._bounds(low, high)
-        size = self._layers["log_odds"].shape
-        if first is not self._first:
+        if not self._holds(low, high):
+            first, last = self._bounds(low, high)
+            size = self._layers["log_odds"].shape
             rows, cols = (int(n) for n in last - first)
             grown = self._blank_cells((rows, cols))
             if np.all(size):
@@ -294,17 +294,19 @@ class GrowingGrid:
 
     def check_room(self, low: Int[ndarray, "2"], high: Int[ndarray, "2"]) -> None:
         """Raise what ``reserve`` of these cells, be it part by part, would raise; nothing is reserved."""
-        self._bounds(low, high)
+        if not self._holds(low, high):
+            self._bounds(low, high)
+
+    def _holds(self, low: Int[ndarray, "2"], high: Int[ndarray, "2"]) -> bool:
+        """Whether the cells ``low <= [row, col] < high`` are there, as most are: this costs little."""
+        (row, col), (low_row, low_col), (high_row, high_col) = self._first.tolist(), low.tolist(), high.tolist()
+        rows, cols = self._layers["log_odds"].shape
+        held = row <= low_row and col <= low_col and high_row <= row + rows and high_col <= col + cols
+        return bool(rows and cols and held)
 
     def _bounds(self, low: Int[ndarray, "2"], high: Int[ndarray, "2"]) -> tuple[Int[ndarray, "2"], Int[ndarray, "2"]]:
         """First cell, and that behind the last, of a map that also holds ``low <= [row, col] < high``."""
-        first, (rows, cols) = self._first, self._layers["log_odds"].shape
-        last = first + np.array([rows, cols])
-        # Most are held, and are to cost little.
-        (row, col), (low_row, low_col), (high_row, high_col) = first.tolist(), low.tolist(), high.tolist()
-        fits = row <= low_row and col <= low_col and high_row <= row + rows and high_col <= col + cols
-        if rows and cols and fits:
-            return first, last
+        first, last = self._first, self._first + self._layers["log_odds"].shape
         least, most = np.minimum(self._low, low), np.maximum(self._high, high)
         # Who drives on has to copy the map the more seldom the larger it is, while there is room.
         for share in (4, 16):

@@ -1,6 +1,7 @@
 """The map of a drive, scan by scan, by any sensor model."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from math import floor
 
 import numpy as np
 
@@ -96,17 +97,15 @@ class Mapper:
 
     def _check_room(self, frames: Sequence[Frame]) -> None:
         """Raise a UsageError if the map would become too large with these frames."""
-        places = np.array([frame.pose[1::-1] for frame in frames])
+        x, y, _ = zip(*(frame.pose.tolist() for frame in frames), strict=True)
         far = max(
             (float(np.max(np.abs(frame.mounts[:, :2]))) for frame in frames if frame.mounts is not None), default=0
         )
         if far:  # scans of models that take them apart are put where a sonar looked from
             far = np.sqrt(2) * (far + float(np.max(np.abs(self.robot.mounts[:, :2]))))
         reach = self._fusion.reach_cells + int(np.ceil(far / self.cell_m))
-        low, high = (
-            np.floor(each / self.cell_m).astype(np.int64) for each in (places.min(axis=0), places.max(axis=0))
-        )
-        self._grown.check_room(low - reach, high + 1 + reach)
+        low, high = ([floor(end(each) / self.cell_m) for each in (y, x)] for end in (min, max))
+        self._grown.check_room(np.array(low) - reach, np.array(high) + 1 + reach)
 
     def batches(self, frames: Iterable[Frame], judge: Judge | None = None) -> Iterator[Sequence[Frame]]:
         """Frames of a log in their order, cleaned, as many together as ``prepare`` takes at once.
