@@ -1,4 +1,4 @@
-"""How good a map is: its scores against a grid that says what is really there, and the paths planned on it."""
+"""How good a map is (its scores against a grid that says what is really there, the paths planned on it), and poses."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int, Int8
 from numpy import ndarray
 
 from echogrid.errors import InputError
+from echogrid.geometry import compose, inverse, wrap
 from echogrid.grid import Grid
 
 if TYPE_CHECKING:
@@ -130,6 +131,54 @@ def score(grid: Grid, truth: Truth) -> Scores:
         surface_cells=p_surface.size,
         free_cells=p_free.size,
     )
+
+
+@dataclass(frozen=True)
+class TrajectoryError:
+    """Absolute error of a trajectory's poses, in the order in which it is shown. See ``trajectory_error``."""
+
+    aligned_rms_m: float
+    """Root mean square of the distances after the whole trajectory was laid onto the true one."""
+    aligned_worst_m: float
+    """The largest of them."""
+    first_rms_m: float
+    """Root mean square of the distances with the first pose laid onto the true first one."""
+    first_worst_m: float
+    """The largest of them."""
+    heading_rms_deg: float
+    """Root mean square of the headings' errors after the whole trajectory was laid onto the true one."""
+
+
+def trajectory_error(poses: Float[ndarray, "n 3"], truth: Float[ndarray, "n 3"]) -> TrajectoryError:
+    """How far poses (m, m, rad) are from the true ones, pose by pose.
+
+    The rigid motion that lays the trajectory onto the true one has the least squares of distances (Umeyama 1991
+    without scale, in the plane), as of ``evo_ape tum TRUTH POSES -a``. Two differences: evo may also turn a plane
+    upside down, where a mirrored trajectory fits better; and it lays none whose points are all on one line.
+
+    Raises:
+        InputError: other numbers of poses, or none, or such as are not finite.
+    """
+    for name, some in (("poses", poses), ("true poses", truth)):
+        if np.shape(some) != np.shape(truth) or not np.size(some) or not np.all(np.isfinite(some)):
+            raise InputError("trajectory", f"{name} of shape {np.shape(some)}", f"finite ones as {np.shape(truth)}")
+    middle, true_middle = poses[:, :2].mean(axis=0), truth[:, :2].mean(axis=0)
+    p, q = poses[:, :2] - middle, truth[:, :2] - true_middle
+    turn = float(np.arctan2(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]), np.sum(p * q)))
+    laid = compose(np.array([*true_middle, turn]), poses - [*middle, 0.0])
+    first = compose(compose(truth[0], inverse(poses[0])), poses)
+    off, first_off = (np.linalg.norm(some[:, :2] - truth[:, :2], axis=1) for some in (laid, first))
+    return TrajectoryError(
+        aligned_rms_m=_rms(off),
+        aligned_worst_m=float(off.max()),
+        first_rms_m=_rms(first_off),
+        first_worst_m=float(first_off.max()),
+        heading_rms_deg=float(np.rad2deg(_rms(wrap(laid[:, 2] - truth[:, 2])))),
+    )
+
+
+def _rms(values: Float[ndarray, "n"]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def check_overlap(grid: Grid, truth: Truth, map_name: str, truth_name: str) -> float:

@@ -1,0 +1,130 @@
+"""How far positions are off, over cases of drives by dead reckoning.
+
+    python -m experiments.studies.position CASES [--out FOLDER] [--method NAME|MODULE:FUNCTION] [--only WORD ...]
+        [--errors odometry|twice|true]
+
+CASES is a folder of cases (``cases.py``) or one of them; ``simulated`` and ``recordings`` make such. A method is
+``odometry``, which leaves the poses as they are, or a function ``(log, robot) -> poses`` of shape (frames, 3), m, m
+and rad, found as MODULE:FUNCTION. One row a case: ATE is the root mean square of the distances to the true positions
+after the whole trajectory was laid onto the true one (as ``evo_ape -a``), ``first`` the same with the first pose laid
+onto the true first; ``worst`` is the largest aligned distance, ``entropy`` that of the hits (``measures.py``). With
+--out position_METHOD_ERRORS.json and each case's trajectory as TUM file go there.
+"""
+
+import argparse
+import importlib
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from tqdm import tqdm
+
+from echogrid import Log, Robot
+from echogrid.errors import EchogridError
+from echogrid.metrics import trajectory_error
+from echogrid.output.trajectory import read_tum, write_tum
+from experiments.common import report
+from experiments.studies.position.cases import ODOMETRY, Case, cases_of
+from experiments.studies.position.measures import entropy_of_hits, poses_of
+
+Method = Callable[[Log, Robot], Float[ndarray, "frames 3"]]
+HEADER = ("case", "m", "scans", "odometry ATE", "first", "ATE", "worst", "first", "first worst", "heading (deg)",
+          "entropy before", "after", "s", "x real time")  # fmt: skip
+
+
+def method_of(name: str) -> Method:
+    """A method by its name.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if name == "odometry":
+        return lambda log, _: poses_of(log)
+    module, _, function = name.partition(":")
+    try:
+        return getattr(importlib.import_module(module), function)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"--method: found {name} ({error}), expected odometry or MODULE:FUNCTION") from None
+
+
+def judged(case: Case, method: Method, errors: str, out: Path | None) -> dict[str, Any]:
+    """What a method makes of a case: errors, entropy and time, and the errors of the poses that it was given."""
+    log = case.log(errors)
+    frames = list(log)
+    given = poses_of(frames)
+    begin = time.perf_counter()
+    poses = np.asarray(method(log, case.robot), dtype=float)
+    seconds = time.perf_counter() - begin
+    stamps = np.array([frame.stamp for frame in frames])
+    if poses.shape != given.shape:
+        raise SystemExit(f"{case.name}: found poses of shape {poses.shape}, expected {given.shape}")
+    if out:
+        write_tum(out / f"{case.name}.tum", stamps, poses)
+    found: dict[str, Any] = {"case": case.name} | asdict(case.facts) | {"errors": errors, "scans": len(frames)}
+    if case.has_truth:
+        truth = case.truth()
+        found |= {"given": asdict(trajectory_error(given, truth)), "found": asdict(trajectory_error(poses, truth))}
+        peer = case.folder / "authors.tum"
+        if peer.is_file():
+            found["authors"] = asdict(trajectory_error(read_tum(peer)[1], truth))
+    found["entropy"] = [entropy_of_hits(frames, case.robot, some) for some in (given, poses)]
+    return found | {"seconds": seconds, "times": float((stamps[-1] - stamps[0]) / max(seconds, 1e-9))}
+
+
+def row(found: dict[str, Any]) -> list[str]:
+    """A judged case as the table shows it."""
+    errors = ["-"] * 7
+    if "found" in found:
+        given, then = found["given"], found["found"]
+        errors = [given["aligned_rms_m"], given["first_rms_m"], then["aligned_rms_m"], then["aligned_worst_m"],
+                  then["first_rms_m"], then["first_worst_m"]]  # fmt: skip
+        errors = [f"{value:.3f}" for value in errors] + [f"{then['heading_rms_deg']:.2f}"]
+    name = found["case"] if found["errors"] == "odometry" else f"{found['case']} ({found['errors']})"
+    before, after = found["entropy"]
+    return [name, f"{found['length_m']:.0f}", str(found["scans"]), *errors, f"{before:.3f}", f"{after:.3f}",
+            f"{found['seconds']:.1f}", f"{found['times']:.0f}" if found["seconds"] > 0.5 else "-"]  # fmt: skip
+
+
+def means(found: list[dict[str, Any]]) -> list[list[str]]:
+    """Of each kind the mean and the largest ATE, and how many cases there are."""
+    rows = []
+    for kind in dict.fromkeys(one["kind"] for one in found):
+        some = [(one["given"]["aligned_rms_m"], one["found"]["aligned_rms_m"]) for one in found
+                if one["kind"] == kind and "found" in one]  # fmt: skip
+        if some:
+            (before, after), worst = np.mean(some, axis=0), max(some, key=lambda pair: pair[1])[1]
+            rows.append([kind, str(len(some)), f"{before:.3f}", f"{after:.3f}", f"{worst:.3f}"])
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("cases", type=Path, metavar="CASES", help="a folder of cases, or one")
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="where numbers and trajectories go")
+    parser.add_argument("--method", default="odometry", metavar="NAME", help="odometry, or MODULE:FUNCTION")
+    parser.add_argument("--only", nargs="+", metavar="WORD", help="cases whose names hold one of these")
+    parser.add_argument("--errors", default="odometry", choices=[*ODOMETRY, "true"], help="of the poses it is given")
+    args = parser.parse_args()
+    try:
+        method, cases = method_of(args.method), cases_of(args.cases, args.only)
+        cases = [case for case in cases if case.has(args.errors)]
+        if args.out:
+            args.out.mkdir(parents=True, exist_ok=True)
+        found = [judged(case, method, args.errors, args.out) for case in tqdm(cases, "cases", disable=None)]
+    except (EchogridError, ValueError) as error:
+        parser.error(str(error))
+    print(report.table(HEADER, map(row, found)))
+    print("\n" + report.table(("kind", "cases", "odometry ATE", "ATE", "largest ATE"), means(found)))
+    if args.out:
+        report.FOLDER = args.out
+        name = args.method.replace(":", "_").replace(".", "_")
+        report.record(f"position_{name}_{args.errors}", {"found": report.rounded(found)})
+
+
+if __name__ == "__main__":
+    main()
