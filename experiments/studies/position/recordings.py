@@ -1,0 +1,184 @@
+"""Recorded drives as cases, from data that has no place in the repository.
+
+    python -m experiments.studies.position.recordings FOLDER [--data ../shared/data]
+
+- nanoswarm: flights in mazes, truth by motion capture; each side's eight zones as rays, or as a cone of 45 degrees that
+  reads the least of them. All drones of a run one after the other, 0.1 s a frame (times are not recorded; from stop to
+  stop, and from drone to drone, the poses jump), and each drone by itself (``-d0``). ``authors.tum``: their own SLAM.
+- nanosmcl: flights in an office, as rays and as cones, no truth; its floor plan as ``plan.yaml``, with where about the
+  origin of the odometry lies in it in ``case.json``.
+- crazyflie4: flights with four rangers, no truth.
+- corridor8: its poses as truth, and made to drift.
+
+What is not there is left out and told.
+"""
+
+import argparse
+import csv
+import gzip
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+from echogrid import Frame, Robot, load_log
+from echogrid.output.trajectory import write_tum
+from experiments.common import corridor8 as corridor
+from experiments.studies.position.buildings import SEED
+from experiments.studies.position.cases import Facts, write_case
+from experiments.studies.position.driving import length_of
+from experiments.studies.position.measures import poses_of
+from experiments.studies.position.odometry import Odometry
+
+DATA = Path(__file__).parents[4] / "shared" / "data"
+ZONES, ZONE_DEG = 8, 5.625
+ZONE_OFF_DEG = ((ZONES - 1) / 2 - np.arange(ZONES)) * ZONE_DEG
+KINDS = ("rays", "cones")
+SIDES = {"f": (0.02, 0.0, 0.0), "b": (-0.02, 0.0, 180.0), "l": (0.0, 0.025, 90.0), "r": (0.0, -0.025, -90.0)}
+"""Places of the four sensors of both drones: m, m, degrees."""
+STARTS = {"S6": (0.90, 0.12, 355.0), "S8": (3.02, -5.45, 178.0), "S11": (2.98, -2.12, 111.0)}
+"""Where the README of nanosmcl lays the origin of the odometry in the plan: m, m, degrees."""
+_MIDDLE_ROWS = (3, 4)
+"""Of the eight rows of zones to the front: those that look neither up nor down."""
+
+
+def drone(kind: str, max_range: float) -> Robot:
+    """Four sensors of eight zones; each side as a cone of 45 degrees, or as a ray for each of its zones."""
+    offs = [0.0] if kind == "cones" else ZONE_OFF_DEG.tolist()
+    mounts = [(x, y, turn + off) for x, y, turn in SIDES.values() for off in offs]
+    return replace(
+        Robot.load("p3dx"),
+        name=f"tof-{kind}",
+        footprint_radius_m=0.06,
+        min_range_m=0.05,
+        max_range_m=max_range,
+        beam_width_rad=float(np.deg2rad(45.0 if kind == "cones" else 6.0)),
+        mounts=np.array(mounts) * [1, 1, np.pi / 180],
+    )
+
+
+def zone_ranges(depth: Float[ndarray, "frames 4 8"], kind: str, robot: Robot) -> Float[ndarray, "frames sonars"]:
+    """Ranges of a drone from its zones' distances along their side's axis (m; nan: none)."""
+    slant = depth / np.cos(np.deg2rad(ZONE_OFF_DEG))
+    if kind == "rays":
+        return robot.clean(slant.reshape(len(slant), -1))
+    least = np.min(np.where(np.isnan(slant), np.inf, slant), axis=2)
+    return robot.clean(np.where(np.isinf(least), np.nan, least))  # nothing valid in a side is not valid
+
+
+def nanoswarm(data: Path, out: Path) -> None:
+    """Flights in mazes."""
+    for file in sorted((data / "nanoswarm").glob("*.csv")):
+        if file.stem == "walls":
+            continue
+        with file.open(encoding="utf-8") as lines:
+            rows = list(csv.DictReader(lines))
+        column = lambda name: np.array([float(row[name]) for row in rows])  # noqa: E731
+        by = {of: np.column_stack([column(f"{axis}_{of}") for axis in ("x", "y", "yaw")]) for of in
+              ("odom", "slam", "vicon")}  # fmt: skip
+        mm = np.array([[[float(row[f"{side}{zone}"]) for zone in range(ZONES)] for side in SIDES] for row in rows])
+        depth = np.where(mm <= 0, np.nan, mm / 1000)
+        drones = column("drone")
+        parts = [("", np.ones(len(rows), dtype=bool))]
+        parts += [(f"-d{number:g}", drones == number) for number in np.unique(drones) if len(np.unique(drones)) > 1]
+        for kind in KINDS:
+            for suffix, part in parts:
+                _swarm_case(out / f"nanoswarm-{file.stem}-{kind}{suffix}", kind, depth, by, part)
+
+
+def _swarm_case(
+    folder: Path,
+    kind: str,
+    depth: Float[ndarray, "frames 4 8"],
+    by: dict[str, Float[ndarray, "frames 3"]],
+    part: Bool[ndarray, "frames"],
+) -> None:
+    robot = drone(kind, 3.5)
+    odom, slam, vicon = (by[of][part] for of in ("odom", "slam", "vicon"))
+    ranges = zone_ranges(depth[part], kind, robot)
+    frames = [Frame(0.1 * i, pose, reading) for i, (pose, reading) in enumerate(zip(odom, ranges, strict=True))]
+    facts = Facts("maze", "recorded", robot.name, length_of(vicon), "recorded")
+    write_case(folder, facts, robot, frames, {"odometry": odom}, vicon)
+    write_tum(folder / "authors.tum", np.array([frame.stamp for frame in frames]), slam)
+
+
+def nanosmcl(data: Path, out: Path) -> None:
+    """Flights in an office with its plan."""
+    for run, (x, y, turn) in STARTS.items():
+        with gzip.open(data / "nanosmcl" / f"{run}.csv.gz", "rt", encoding="utf-8") as lines:
+            rows = list(csv.DictReader(lines))
+        number = lambda row, name: float(row[name])  # noqa: E731
+        odom = np.array([[number(row, name) for name in ("x", "y", "yaw")] for row in rows])
+        sides = np.array([[_columns(row, side) for side in SIDES] for row in rows])
+        for kind in KINDS:
+            robot = drone(kind, 4.0)
+            ranges = zone_ranges(sides, kind, robot)
+            frames = [Frame(number(row, "t_s"), pose, reading) for row, pose, reading in
+                      zip(rows, odom, ranges, strict=True)]  # fmt: skip
+            start = (x, y, float(np.deg2rad(turn)))
+            folder = out / f"nanosmcl-{run}-{kind}"
+            facts = Facts("office", "recorded", robot.name, length_of(odom), "recorded", start)
+            write_case(folder, facts, robot, frames, {"odometry": odom}, None)
+            for name, new in (("floorplan.yaml", "plan.yaml"), ("floorplan.pgm", "floorplan.pgm")):
+                shutil.copyfile(data / "nanosmcl" / name, folder / new)
+
+
+def _columns(row: dict[str, str], side: str) -> list[float]:
+    """Distances (m; nan: none) in the columns of a side; to the front the least of the rows in the middle."""
+    names = [[f"{side}{r}{c}" for r in _MIDDLE_ROWS] if side == "f" else [f"{side}{c}"] for c in range(ZONES)]
+    read = np.array([[float(row[name]) for name in column] + [np.inf] for column in names])
+    least = np.min(np.where(read > 0, read, np.inf), axis=1)
+    return np.where(np.isinf(least), np.nan, least).tolist()
+
+
+def crazyflie4(data: Path, out: Path) -> None:
+    """Flights with four rangers."""
+    robot = Robot.load(data / "crazyflie4" / "crazyflie4.yaml")
+    for file in sorted((data / "crazyflie4").glob("*.csv")):
+        frames = list(load_log(file, robot))
+        poses = poses_of(frames)
+        facts = Facts("corridors", "recorded", robot.name, length_of(poses), "recorded")
+        write_case(out / f"crazyflie4-{file.stem}", facts, robot, frames, {"odometry": poses}, None)
+
+
+def corridor8(data: Path, out: Path) -> None:
+    """A corridor whose recorded poses are straight enough to be the truth."""
+    robot = Robot.load(corridor.ROBOT)
+    frames = list(corridor.frames(data / "corridor8", robot))
+    poses = poses_of(frames)
+    for number in range(3):
+        errors = {
+            "odometry": Odometry().of(poses, np.random.default_rng([SEED, number])),
+            "twice": Odometry().times(2.0).of(poses, np.random.default_rng([SEED, number])),
+        }
+        facts = Facts("corridor8", "recorded", robot.name, length_of(poses), "recorded")
+        write_case(out / f"corridor8-{number}", facts, robot, frames, errors, poses)
+
+
+SETS: dict[str, Callable[[Path, Path], None]] = {
+    "nanoswarm": nanoswarm,
+    "nanosmcl": nanosmcl,
+    "crazyflie4": crazyflie4,
+    "corridor8": corridor8,
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="where cases go; outside of the repository")
+    parser.add_argument("--data", type=Path, default=DATA, metavar="FOLDER", help="where the recordings are")
+    args = parser.parse_args()
+    for name, make in SETS.items():
+        if (args.data / name).is_dir():
+            make(args.data, args.folder)
+            print(name, flush=True)
+        else:
+            print(f"no {name} in {args.data}: left out")
+
+
+if __name__ == "__main__":
+    main()
