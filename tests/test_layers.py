@@ -26,8 +26,8 @@ PLAN = {
     "mapping": "registry intake mapper build",
     "training": "drives gradient_descent paper_examples paper_training set_lessons map_lessons map_training "
     "set_training",
-    "output": "folder follower map_picture scan_picture map_server_file map_file mcap_file recording page rerun_file "
-    "rerun_server",
+    "output": "trajectory folder follower map_picture scan_picture map_server_file map_file mcap_file recording page "
+    "rerun_file rerun_server",
     "microcontroller": "array constants source",
     "live": "sonar_array clocks hearing telling live_map session sockets tf_topics dds_types dds",
     "cli": "ending arguments info maps simulation export live helping completion commands",

@@ -5,11 +5,14 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from evo.core import metrics as evo_metrics
+from evo.core.trajectory import PosePath3D
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from echogrid.errors import InputError
+from echogrid.geometry import compose
 from echogrid.grid import Grid, logit
 from echogrid.metrics import (
     HIDDEN,
@@ -22,6 +25,7 @@ from echogrid.metrics import (
     check_overlap,
     path_score,
     score,
+    trajectory_error,
 )
 
 SHAPE = (5, 5)
@@ -492,3 +496,78 @@ def test_a_map_or_a_truth_that_says_nothing_is_refused():
     grid.observed[:] = True
     with pytest.raises(InputError, match=r"^truth: found hidden cells only"):
         check_overlap(grid, truth, "map", "truth")
+
+
+def drives():
+    """A drive of 3 to 40 poses on no line, and one that is near it until it is moved as a whole."""
+    return st.builds(_drive, st.integers(0, 2**32 - 1), st.integers(3, 40), st.floats(0.0, 0.3))
+
+
+def _drive(seed, count, off):
+    rng = np.random.default_rng(seed)
+    truth = np.column_stack([rng.uniform(-10, 10, (count, 2)), rng.uniform(-np.pi, np.pi, count)])
+    near = truth + off * rng.standard_normal(truth.shape)
+    return truth, compose(rng.uniform(-3, 3, 3), near)
+
+
+def _paths(*drives_):
+    for poses in drives_:
+        half = poses[:, 2] / 2
+        turns = np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
+        yield PosePath3D(np.column_stack([poses[:, :2], 0 * half]), turns)
+
+
+def _evo(truth, path, relation):
+    ape = evo_metrics.APE(relation)
+    ape.process_data((truth, path))
+    return ape.get_statistic(evo_metrics.StatisticsType.rmse), ape.get_statistic(evo_metrics.StatisticsType.max)
+
+
+@given(drives())
+def test_errors_of_a_trajectory_are_those_of_evo(drive):
+    truth, poses = drive
+    error = trajectory_error(poses, truth)
+    place, turn = evo_metrics.PoseRelation.translation_part, evo_metrics.PoseRelation.rotation_angle_deg
+    reference, whole, first = _paths(truth, poses, poses)
+    rotation, *_ = whole.align(reference)
+    assume(rotation[2, 2] > 0)  # evo may turn the plane upside down
+    first.align_origin(reference)
+    np.testing.assert_allclose((error.aligned_rms_m, error.aligned_worst_m), _evo(reference, whole, place), atol=1e-7)
+    np.testing.assert_allclose((error.first_rms_m, error.first_worst_m), _evo(reference, first, place), atol=1e-7)
+    np.testing.assert_allclose(error.heading_rms_deg, _evo(reference, whole, turn)[0], atol=1e-4)
+
+
+@given(drives(), st.integers(0, 2**32 - 1))
+def test_no_other_rigid_motion_lays_a_trajectory_nearer(drive, seed):
+    truth, poses = drive
+    best = trajectory_error(poses, truth).aligned_rms_m
+    for motion in np.random.default_rng(seed).uniform(-np.pi, np.pi, (20, 3)):
+        other = compose(motion, poses)
+        assert best <= np.sqrt(np.mean(np.sum((other - truth)[:, :2] ** 2, axis=1))) + 1e-9
+
+
+@given(drives(), st.integers(0, 2**32 - 1))
+def test_errors_of_a_trajectory_do_not_depend_on_its_frame(drive, seed):
+    truth, poses = drive
+    motion = np.random.default_rng(seed).uniform(-20, 20, 3)
+    one, other = trajectory_error(poses, truth), trajectory_error(compose(motion, poses), truth)
+    np.testing.assert_allclose(dataclasses.astuple(other), dataclasses.astuple(one), atol=1e-5)
+
+
+def test_errors_of_a_trajectory_by_hand():
+    truth = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [4.0, 0.0, np.pi]])
+    poses = truth + np.array([[0.0, 0.0, 0.0], [0.0, 0.3, np.deg2rad(6.0)], [0.0, 0.0, -2 * np.pi]])
+    error = trajectory_error(poses, truth)
+    # Laid onto the truth the three are 0.1, 0.2 and 0.1 m off; the headings are 0, 6 and 0 degrees.
+    assert error.aligned_rms_m == pytest.approx(np.sqrt(0.06 / 3))
+    assert error.aligned_worst_m == pytest.approx(0.2)
+    assert error.first_rms_m == pytest.approx(np.sqrt(0.09 / 3))
+    assert error.first_worst_m == pytest.approx(0.3)
+    assert error.heading_rms_deg == pytest.approx(6 / np.sqrt(3))
+    assert dataclasses.astuple(trajectory_error(truth[:1], truth[:1])) == (0, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize("poses", [np.zeros((3, 3)), np.zeros((0, 3)), np.full((2, 3), np.nan)])
+def test_trajectories_that_cannot_be_compared_are_refused(poses):
+    with pytest.raises(InputError, match=r"trajectory: found .*poses of shape"):
+        trajectory_error(poses, np.zeros((2, 3)))

@@ -1,4 +1,4 @@
-"""How good a map is (its scores against a grid that says what is really there, the paths planned on it), and poses."""
+"""How good a map is (scores against a grid of what is really there, paths planned on it), and how good poses are."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -149,7 +149,7 @@ class TrajectoryError:
     """Root mean square of the headings' errors after the whole trajectory was laid onto the true one."""
 
 
-def trajectory_error(poses: Float[ndarray, "n 3"], truth: Float[ndarray, "n 3"]) -> TrajectoryError:
+def trajectory_error(poses: Float[ndarray, "n 3"], truth: Float[ndarray, "m 3"]) -> TrajectoryError:
     """How far poses (m, m, rad) are from the true ones, pose by pose.
 
     The rigid motion that lays the trajectory onto the true one has the least squares of distances (Umeyama 1991

@@ -5,6 +5,7 @@ Everything is drawn from a generator; a building is the same for all robots, as 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -12,6 +13,7 @@ from numpy import ndarray
 
 from echogrid import World
 from echogrid.simulation.rooms import random_roughness
+from echogrid.simulation.world import polyline
 from experiments.studies.position.plans import KEPT_M, Door, Plan, between, closed, furnished, spaced, way_through
 
 Shape = tuple[list[Float[ndarray, "walls 4"]], list[list[float]], Float[ndarray, "n 2"]]
@@ -39,7 +41,7 @@ def flat(rng: np.random.Generator) -> Shape:
     for y0, y1 in ((0.0, depths[0]), (depths[0] + hall, depths.sum() + hall)):
         cuts = width * (np.arange(1, 3) / 3 + rng.uniform(-0.05, 0.05, 2))
         edges = [0.0, *cuts, width]
-        rooms += [[a, y0, b, y1] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        rooms += [[a, y0, b, y1] for a, b in pairwise(edges)]
     pairs = [(0, 1), (1, 2), (3, 4), (4, 5), (0, 3), (1, 4), (2, 5)]
     if hall:
         rooms.append([0.0, depths[0], width, depths[0] + hall])
@@ -59,7 +61,7 @@ def floors(rng: np.random.Generator) -> Shape:
         for y0, y1 in ((base, base + depth[0]), (base + depth[0] + hall, base + depth.sum() + hall)):
             cuts = width * (np.arange(1, 4) / 4 + rng.uniform(-0.03, 0.03, 3))
             edges = [0.0, *cuts, width]
-            rooms += [[a, y0, b, y1] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+            rooms += [[a, y0, b, y1] for a, b in pairwise(edges)]
         rooms.append([0.0, base + depth[0], width, base + depth[0] + hall])
         pairs += [(first + i, first + 8) for i in range(8)]
         pairs += [(first, first + 1), (first + 6, first + 7)]
@@ -120,11 +122,13 @@ def _with_doors(
         left = out * np.array([-u[1], u[0]])
         start, s = a, rng.uniform(0.5, 2.0)
         while s + 1.4 < length:
-            door, depth = rng.uniform(0.8, 1.1), rng.choice([0.04, 0.08, 0.15, 0.3, 0.6], p=[0.25, 0.25, 0.25, 0.15, 0.1])
+            door, depth = (
+                rng.uniform(0.8, 1.1),
+                rng.choice([0.04, 0.08, 0.15, 0.3, 0.6], p=[0.25, 0.25, 0.25, 0.15, 0.1]),
+            )
             first, last = a + s * u, a + (s + door) * u
             groups.append(np.array([[*start, *first]]))
-            groups.append(np.array([[*first, *(first + depth * left)], [*(first + depth * left), *(last + depth * left)],
-                                    [*(last + depth * left), *last]]))  # fmt: skip
+            groups.append(polyline([first, first + depth * left, last + depth * left, last]))
             start, s = last, s + door + rng.uniform(0.8, 4.0)
         groups.append(np.array([[*start, *b]]))
     return groups
@@ -164,7 +168,12 @@ def hall(rng: np.random.Generator) -> Shape:
     return closed(corners) + boxes, pillars + posts, way
 
 
-KINDS: dict[str, Callable[[np.random.Generator], Shape]] = {"flat": flat, "ring": ring, "hall": hall, "floors": floors}
+KINDS: dict[str, Callable[[np.random.Generator], Shape]] = {
+    "flat": flat,
+    "ring": ring,
+    "hall": hall,
+    "floors": floors,
+}
 
 
 def building(kind: str, walls: str, number: int) -> Building:

@@ -66,8 +66,11 @@ class Plan:
                     if (door := self.doors[i]).axis == axis and abs(door.at - at) < 1e-6
                 )  # fmt: skip
                 ends = [low + half, *(edge for span in gaps for edge in span), high - half]
-                groups.append(np.array([_piece(axis, at + sign * half, a, b) for a, b in zip(ends[::2], ends[1::2],
-                                                                                            strict=True)]))
+                groups.append(
+                    np.array(
+                        [_piece(axis, at + sign * half, a, b) for a, b in zip(ends[::2], ends[1::2], strict=True)]
+                    )
+                )
         for door in self.doors:
             jambs = [_piece(1 - door.axis, edge, door.at - half, door.at + half) for edge in door.span]
             groups.append(np.array(jambs))
@@ -184,7 +187,9 @@ def furnished(
 
 def spaced(way: Float[ndarray, "n 2"], step: float) -> Float[ndarray, "m 2"]:
     """Points along a way, at most ``step`` m apart."""
-    parts = [a + (b - a) * np.arange(0, 1, step / max(step, np.linalg.norm(b - a)))[:, None] for a, b in pairwise(way)]
+    parts = [
+        a + (b - a) * np.arange(0, 1, step / max(step, np.linalg.norm(b - a)))[:, None] for a, b in pairwise(way)
+    ]
     return np.concatenate([*parts, way[-1:]])
 
 

@@ -66,7 +66,9 @@ def make(folder: Path, name: str) -> None:
     world = place.world
     np.savez(folder / name / "world.npz", walls=world.walls, roughness=world.roughness, cylinders=world.cylinders)
     write_truth(folder / name / "truth.npz", truth_of(world, poses))
-    write_case(folder / name, Facts(kind, walls, robot_name, length_of(poses), simulator), robot, drive, errors, poses)
+    write_case(
+        folder / name, Facts(kind, walls, robot_name, length_of(poses), simulator), robot, drive, errors, poses
+    )
 
 
 def main() -> None:
