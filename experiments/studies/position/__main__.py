@@ -107,12 +107,14 @@ def main() -> None:
     parser.add_argument("cases", type=Path, metavar="CASES", help="a folder of cases, or one")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="where numbers and trajectories go")
     parser.add_argument("--method", default="odometry", metavar="NAME", help="odometry, or MODULE:FUNCTION")
-    parser.add_argument("--only", nargs="+", metavar="WORD", help="cases whose names hold one of these")
+    parser.add_argument("--only", nargs="+", default=(), metavar="WORD", help="cases whose names hold one of these")
     parser.add_argument("--errors", default="odometry", choices=[*ODOMETRY, "true"], help="of the poses it is given")
     args = parser.parse_args()
     try:
         method, cases = method_of(args.method), cases_of(args.cases, args.only)
         cases = [case for case in cases if case.has(args.errors)]
+        if not cases:
+            parser.error(f"{args.cases}: found no case with poses of {args.errors}, expected one at least")
         if args.out:
             args.out.mkdir(parents=True, exist_ok=True)
         found = [judged(case, method, args.errors, args.out) for case in tqdm(cases, "cases", disable=None)]

@@ -1,6 +1,7 @@
 """Cases on which positions are judged, as folders of files: the log of a drive by dead reckoning, and the truth."""
 
 import json
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -110,16 +111,22 @@ def write_case(
     (folder / "case.json").write_text(json.dumps(asdict(facts), indent=1) + "\n", encoding="utf-8")
 
 
-def cases_of(folder: Path, wanted: list[str] | None = None) -> list[Case]:
-    """The finished cases in a folder, or the folder itself; those whose names hold one of some words.
+def picked(names: Iterable[str], words: Sequence[str]) -> list[str]:
+    """Those of some names that are one of the words, or hold a word that is no name itself; all if there is none."""
+    there = list(names)
+    parts = [word for word in words if word not in there]
+    return [name for name in there if not words or name in words or any(part in name for part in parts)]
+
+
+def cases_of(folder: Path, wanted: Sequence[str] = ()) -> list[Case]:
+    """The finished cases in a folder, or the folder itself; those that are ``picked``.
 
     Raises:
         InputError: there is none.
     """
     files = [folder / "case.json"] if (folder / "case.json").is_file() else sorted(folder.glob("*/case.json"))
-    cases = [Case(path.parent) for path in files]
-    if wanted:
-        cases = [case for case in cases if any(word in case.name for word in wanted)]
+    names = picked([path.parent.name for path in files], wanted)
+    cases = [Case(path.parent) for path in files if path.parent.name in names]
     if not cases:
         raise InputError(folder, "no case", "folders with a case.json")
     return cases

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from echogrid.geometry import compose, inverse
+from echogrid.geometry import compose, inverse, wrap
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,8 @@ class Odometry:
         along, turn = rng.standard_normal((2, len(steps))) * np.sqrt(way)
         steps[:, 0] += scale * way * np.sign(steps[:, 0]) + self.noise * along
         steps[:, 2] += np.deg2rad(bias * way + self.noise_deg_m * turn)
-        poses = [truth[0]]
-        for step in steps:
-            poses.append(compose(poses[-1], step))
-        return np.array(poses)
+        theta = truth[0, 2] + np.append(0.0, np.cumsum(steps[:, 2]))
+        cos, sin = np.cos(theta[:-1]), np.sin(theta[:-1])
+        moves = np.stack([cos * steps[:, 0] - sin * steps[:, 1], sin * steps[:, 0] + cos * steps[:, 1]], axis=1)
+        places = truth[0, :2] + np.concatenate([np.zeros((1, 2)), np.cumsum(moves, axis=0)])
+        return np.column_stack([places, wrap(theta)])

@@ -9,6 +9,7 @@ left. Takes about a minute for 100 m on one core.
 """
 
 import argparse
+import re
 import zlib
 from pathlib import Path
 
@@ -18,8 +19,8 @@ from echogrid import Robot
 from echogrid.output.map_file import write_truth
 from echogrid.simulation.drive import truth_of
 from experiments.common.rooms import frames
-from experiments.studies.position.buildings import SEED, building
-from experiments.studies.position.cases import Facts, write_case
+from experiments.studies.position.buildings import KINDS, SEED, WALLS, building
+from experiments.studies.position.cases import Facts, picked, write_case
 from experiments.studies.position.driving import RATE_HZ, driven, length_of
 from experiments.studies.position.odometry import Odometry
 
@@ -38,6 +39,7 @@ SET = (
 )  # fmt: skip
 """The smallest that tells something first."""
 SPEED_M_S = (0.3, 0.5)
+NAME = re.compile(rf"({'|'.join(KINDS)})-({'|'.join(WALLS)})-[a-z0-9]+-[0-9]+(-(varied|leonard|mujoco))?")
 
 
 def robot_of(name: str) -> Robot:
@@ -76,8 +78,12 @@ def main() -> None:
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="where cases go; outside of the repository")
     parser.add_argument("names", nargs="*", metavar="NAME", help="cases, or words that some of the set hold")
     args = parser.parse_args()
-    names = [n for n in SET if not args.names or any(word in n for word in args.names)]
-    names += [n for n in args.names if n.count("-") >= 3 and n not in SET]
+    new = [word for word in args.names if not picked(SET, [word])]
+    if wrong := [name for name in new if not NAME.fullmatch(name)]:
+        parser.error(
+            f"found {wrong[0]}, expected kind-walls-robot-number[-simulator], or a word that some of SET hold"
+        )
+    names = new if args.names and len(new) == len(args.names) else [*picked(SET, args.names), *new]
     for name in names:
         if not (args.folder / name / "case.json").is_file():
             make(args.folder, name)
