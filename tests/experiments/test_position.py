@@ -12,6 +12,7 @@ from echogrid.frame import Frame
 from echogrid.geometry import wrap
 from echogrid.metrics import trajectory_error
 from echogrid.robot import Robot
+from echogrid.simulation.world import inside_room
 from experiments.studies.position.buildings import KINDS, WALLS, building
 from experiments.studies.position.cases import Case, Facts, cases_of, picked, write_case
 from experiments.studies.position.driving import RATE_HZ, TURN_RAD_S, driven, length_of
@@ -36,6 +37,11 @@ def test_a_drive_meets_no_wall_and_is_as_long_as_its_kind_says(drive):
     assert place.world.clearance(poses[:, :2]).min() > max(robot_of(name).footprint_radius_m for name in ROBOTS)
     low, high = LENGTHS_M[kind]
     assert low < length_of(poses) < high
+
+
+def test_a_building_has_no_leak(drive):
+    _, place, poses = drive
+    assert inside_room(place.world, poses[::50, :2]).all()
 
 
 def test_a_drive_passes_near_all_its_waypoints(drive):

@@ -1,14 +1,16 @@
 """How far positions are off, over cases of drives by dead reckoning.
 
     python -m experiments.studies.position CASES [--out FOLDER] [--method NAME|MODULE:FUNCTION] [--only WORD ...]
-        [--errors odometry|twice|true]
+        [--errors odometry|twice|true] [--maps]
 
 CASES is a folder of cases (``cases.py``) or one of them; ``simulated`` and ``recordings`` make such. A method is
 ``odometry``, which leaves the poses as they are, or a function ``(log, robot) -> poses`` of shape (frames, 3), m, m
 and rad, found as MODULE:FUNCTION. One row a case: ATE is the root mean square of the distances to the true positions
 after the whole trajectory was laid onto the true one (as ``evo_ape -a``), ``first`` the same with the first pose laid
-onto the true first; ``worst`` is the largest aligned distance, ``entropy`` that of the hits (``measures.py``). With
---out position_METHOD_ERRORS.json and each case's trajectory as TUM file go there.
+onto the true first; ``worst`` is the largest aligned distance, ``entropy`` that of the hits (``measures.py``). --maps
+adds the scores of maps by the default model from the poses given, those found and the true ones, each laid with its
+first pose onto the true first. With --out position_METHOD_ERRORS.json goes there, and each case's trajectory as TUM
+file.
 """
 
 import argparse
@@ -24,12 +26,15 @@ from jaxtyping import Float
 from numpy import ndarray
 from tqdm import tqdm
 
-from echogrid import Log, Robot
+from echogrid import Log, Robot, build_map
 from echogrid.errors import EchogridError
-from echogrid.metrics import trajectory_error
+from echogrid.geometry import compose, inverse
+from echogrid.mapping.registry import DEFAULT, sensor_model
+from echogrid.metrics import score, trajectory_error
+from echogrid.output.map_file import read_truth
 from echogrid.output.trajectory import read_tum, write_tum
 from experiments.common import report
-from experiments.studies.position.cases import ODOMETRY, Case, cases_of
+from experiments.studies.position.cases import ODOMETRY, Case, cases_of, posed
 from experiments.studies.position.measures import entropy_of_hits, poses_of
 
 Method = Callable[[Log, Robot], Float[ndarray, "frames 3"]]
@@ -52,7 +57,7 @@ def method_of(name: str) -> Method:
         raise ValueError(f"--method: found {name} ({error}), expected odometry or MODULE:FUNCTION") from None
 
 
-def judged(case: Case, method: Method, errors: str, out: Path | None) -> dict[str, Any]:
+def judged(case: Case, method: Method, errors: str, out: Path | None, maps: bool) -> dict[str, Any]:
     """What a method makes of a case: errors, entropy and time, and the errors of the poses that it was given."""
     log = case.log(errors)
     frames = list(log)
@@ -69,11 +74,29 @@ def judged(case: Case, method: Method, errors: str, out: Path | None) -> dict[st
     if case.has_truth:
         truth = case.truth()
         found |= {"given": asdict(trajectory_error(given, truth)), "found": asdict(trajectory_error(poses, truth))}
+        if maps and (case.folder / "truth.npz").is_file():
+            laid = {"given": given, "found": poses, "true": truth}
+            laid = {name: compose(compose(truth[0], inverse(some[0])), some) for name, some in laid.items()}
+            found["maps"] = map_scores(case, laid)
         peer = case.folder / "authors.tum"
         if peer.is_file():
             found["authors"] = asdict(trajectory_error(read_tum(peer)[1], truth))
     found["entropy"] = [entropy_of_hits(frames, case.robot, some) for some in (given, poses)]
     return found | {"seconds": seconds, "times": float((stamps[-1] - stamps[0]) / max(seconds, 1e-9))}
+
+
+SCORES = ("found", "wiped", "auc", "nll")
+
+
+def map_scores(case: Case, poses: dict[str, Float[ndarray, "frames 3"]]) -> dict[str, dict[str, float]]:
+    """Scores of the maps that the default model makes from poses by what they are called; the truth is the case's."""
+    truth, frames = read_truth(case.folder / "truth.npz"), list(case.log())
+    found = {}
+    for name, some in poses.items():
+        *_, grid = build_map(posed(frames, some), case.robot, sensor_model(DEFAULT), None)
+        scores = score(grid, truth)
+        found[name] = {column: getattr(scores, column) for column in SCORES}
+    return found
 
 
 def row(found: dict[str, Any]) -> list[str]:
@@ -109,6 +132,7 @@ def main() -> None:
     parser.add_argument("--method", default="odometry", metavar="NAME", help="odometry, or MODULE:FUNCTION")
     parser.add_argument("--only", nargs="+", default=(), metavar="WORD", help="cases whose names hold one of these")
     parser.add_argument("--errors", default="odometry", choices=[*ODOMETRY, "true"], help="of the poses it is given")
+    parser.add_argument("--maps", action="store_true", help="score maps from given, found and true poses too")
     args = parser.parse_args()
     try:
         method, cases = method_of(args.method), cases_of(args.cases, args.only)
@@ -117,11 +141,17 @@ def main() -> None:
             parser.error(f"{args.cases}: found no case with poses of {args.errors}, expected one at least")
         if args.out:
             args.out.mkdir(parents=True, exist_ok=True)
-        found = [judged(case, method, args.errors, args.out) for case in tqdm(cases, "cases", disable=None)]
+        found = [
+            judged(case, method, args.errors, args.out, args.maps) for case in tqdm(cases, "cases", disable=None)
+        ]
     except (EchogridError, ValueError) as error:
         parser.error(str(error))
     print(report.table(HEADER, map(row, found)))
     print("\n" + report.table(("kind", "cases", "odometry ATE", "ATE", "largest ATE"), means(found)))
+    if mapped := [one for one in found if "maps" in one]:
+        body = [[one["case"], *(" / ".join(f"{some[name]:.3f}" for some in one["maps"].values()) for name in SCORES)]
+                for one in mapped]  # fmt: skip
+        print("\nMaps from poses given / found / true\n\n" + report.table(("case", *SCORES), body))
     if args.out:
         report.FOLDER = args.out
         name = args.method.replace(":", "_").replace(".", "_")
