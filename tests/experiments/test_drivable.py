@@ -203,7 +203,9 @@ FLIGHTS = sorted(run for run in swarm.MAZES if (swarm.FOLDER / f"{run}.csv").is_
 @pytest.mark.skipif(not FLIGHTS, reason="the flights are not here")
 def test_flights_are_read_as_cones_and_as_rays():
     run = FLIGHTS[0]
-    cones, rays = (swarm.flight(swarm.FOLDER / f"{run}.csv", kind, swarm.drone(kind)) for kind in swarm.KINDS)
+    cones, rays = (
+        swarm.flight(swarm.FOLDER / f"{run}.csv", kind, swarm.drone(kind, swarm.MAX_M)) for kind in swarm.KINDS
+    )
     assert len(cones) == len(rays) > 100
     for cone, ray in zip(cones, rays, strict=True):
         zones = ray.ranges.reshape(4, 8)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from echogrid.errors import InputError
 from echogrid.frame import Frame
 from echogrid.geometry import wrap
 from echogrid.metrics import trajectory_error
@@ -185,6 +186,19 @@ def test_the_table_says_in_one_line_what_is_wrong(case, tmp_path):
         assert result.returncode == 2
         assert said in result.stderr.splitlines()[-1]
         assert "Traceback" not in result.stderr
+
+
+def refuse(log, robot):
+    raise InputError(log.name, "a log", "none")
+
+
+def test_a_method_that_fails_keeps_its_row(case):
+    case, told, truth = case[0], *case[2:]
+    result = table(case.folder, "--method", "tests.experiments.test_position:refuse")
+    assert result.returncode == 0
+    error = f"{trajectory_error(told, truth).aligned_rms_m:.3f}"
+    assert f"it failed: {case.folder}/log.csv: found a log, expected none" in result.stdout
+    assert f"{error} |" in result.stdout
 
 
 def test_words_pick_names():

@@ -1,7 +1,6 @@
 """Real flights in small mazes with true poses and walls: ../shared/data/nanoswarm, time of flight, four sides."""
 
 import csv
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from echogrid import Frame, Robot
 from experiments.common.maps import mapped
 from experiments.common.pool import each
 from experiments.common.report import record
+from experiments.common.zones import KINDS, SIDES, ZONES, drone, zone_ranges
 from experiments.studies.drivable.measures import SMEAR_M, near_to, occupied, smear
 from experiments.studies.drivable.study import Study, share, tidy, told
 from experiments.studies.generalise.study import label, show
@@ -29,33 +29,10 @@ MAZES = {
     "exp4_0_2": "env4",
     "exp4_0_8": "env4",
 }
-SIDES = {"f": (0.02, 0.0, 0.0), "b": (-0.02, 0.0, 180.0), "l": (0.0, 0.025, 90.0), "r": (0.0, -0.025, -90.0)}
-"""Places of the four sensors: m, m, degrees."""
-ZONES, ZONE_DEG = 8, 5.625
-ZONE_OFF_DEG = ((ZONES - 1) / 2 - np.arange(ZONES)) * ZONE_DEG
-KINDS = ("cones", "rays")
 MAX_M = 3.5
 CELL_M = 0.04
 NEAR_M = 1.5
 """Walls are looked for where the path is so near."""
-
-
-def drone(kind: str) -> Robot:
-    """Each side as a cone of 45 degrees, or as a ray for each of its zones."""
-    mounts = [
-        (x, y, turn + off)
-        for x, y, turn in SIDES.values()
-        for off in ([0.0] if kind == "cones" else ZONE_OFF_DEG.tolist())
-    ]
-    return replace(
-        Robot.load("p3dx"),
-        name="tof",
-        footprint_radius_m=0.06,
-        min_range_m=0.05,
-        max_range_m=MAX_M,
-        beam_width_rad=float(np.deg2rad(45.0 if kind == "cones" else 6.0)),
-        mounts=np.array(mounts) * [1, 1, np.pi / 180],
-    )
 
 
 def flight(file: Path, kind: str, robot: Robot) -> list[Frame]:
@@ -64,10 +41,8 @@ def flight(file: Path, kind: str, robot: Robot) -> list[Frame]:
         rows = list(csv.DictReader(lines))
     pose = np.array([[float(row[name]) for name in ("x_vicon", "y_vicon", "yaw_vicon")] for row in rows])
     mm = np.array([[[float(row[f"{side}{zone}"]) for zone in range(ZONES)] for side in SIDES] for row in rows])
-    ranges = np.where(mm <= 0, np.inf, mm / 1000) / np.cos(np.deg2rad(ZONE_OFF_DEG))
-    ranges = ranges.min(axis=2) if kind == "cones" else ranges.reshape(len(rows), -1)
-    # Nothing valid in a zone is not valid; what lies past the range is no echo.
-    ranges = robot.clean(np.where(np.isinf(ranges), np.nan, ranges))
+    # What lies past the range is no echo.
+    ranges = zone_ranges(np.where(mm <= 0, np.nan, mm / 1000), kind, robot)
     return [Frame(0.1 * i, p, r) for i, (p, r) in enumerate(zip(pose, ranges, strict=True))]
 
 
@@ -86,7 +61,7 @@ def walls_of(file: Path, maze: str) -> Float[ndarray, "n 2"]:
 
 def flown(run: str, kind: str, models: tuple[str, ...]) -> list[dict[str, Any]]:
     """What each model makes of a run."""
-    robot, points = drone(kind), walls_of(FOLDER / "walls.csv", MAZES[run])
+    robot, points = drone(kind, MAX_M), walls_of(FOLDER / "walls.csv", MAZES[run])
     frames = flight(FOLDER / f"{run}.csv", kind, robot)
     path = np.array([frame.pose[:2] for frame in frames])
     near = points[KDTree(path).query(points)[0] < NEAR_M]

@@ -5,12 +5,13 @@
 
 CASES is a folder of cases (``cases.py``) or one of them; ``simulated`` and ``recordings`` make such. A method is
 ``odometry``, which leaves the poses as they are, or a function ``(log, robot) -> poses`` of shape (frames, 3), m, m
-and rad, found as MODULE:FUNCTION. One row a case: ATE is the root mean square of the distances to the true positions
-after the whole trajectory was laid onto the true one (as ``evo_ape -a``), ``first`` the same with the first pose laid
-onto the true first; ``worst`` is the largest aligned distance, ``entropy`` that of the hits (``measures.py``). --maps
-adds the scores of maps by the default model from the poses given, those found and the true ones, each laid with its
-first pose onto the true first. With --out position_METHOD_ERRORS.json goes there, and each case's trajectory as TUM
-file.
+and rad, found as MODULE:FUNCTION; where it raises an ``EchogridError``, the poses that it was given count.
+
+One row a case: ATE is the root mean square of the distances to the true positions after the whole trajectory was laid
+onto the true one (as ``evo_ape -a``), ``first`` the same with the first pose laid onto the true first; ``worst`` is
+the largest aligned distance, ``entropy`` that of the hits (``measures.py``). --maps adds the scores of maps by the
+default model from the poses given, those found and the true ones, each laid with its first pose onto the true first.
+With --out position_METHOD_ERRORS.json goes there, and each case's trajectory as TUM file.
 """
 
 import argparse
@@ -63,7 +64,11 @@ def judged(case: Case, method: Method, errors: str, out: Path | None, maps: bool
     frames = list(log)
     given = poses_of(frames)
     begin = time.perf_counter()
-    poses = np.asarray(method(log, case.robot), dtype=float)
+    poses, failed = given, None
+    try:
+        poses = np.asarray(method(log, case.robot), dtype=float)
+    except EchogridError as error:  # it keeps its row: no case is left out
+        failed = str(error)
     seconds = time.perf_counter() - begin
     stamps = np.array([frame.stamp for frame in frames])
     if poses.shape != given.shape:
@@ -71,6 +76,7 @@ def judged(case: Case, method: Method, errors: str, out: Path | None, maps: bool
     if out:
         write_tum(out / f"{case.name}.tum", stamps, poses)
     found: dict[str, Any] = {"case": case.name} | asdict(case.facts) | {"errors": errors, "scans": len(frames)}
+    found |= {"failed": failed} if failed else {}
     if case.has_truth:
         truth = case.truth()
         found |= {"given": asdict(trajectory_error(given, truth)), "found": asdict(trajectory_error(poses, truth))}
@@ -107,6 +113,8 @@ def row(found: dict[str, Any]) -> list[str]:
         errors = [given["aligned_rms_m"], given["first_rms_m"], then["aligned_rms_m"], then["aligned_worst_m"],
                   then["first_rms_m"], then["first_worst_m"]]  # fmt: skip
         errors = [f"{value:.3f}" for value in errors] + [f"{then['heading_rms_deg']:.2f}"]
+    if "failed" in found:
+        print(f"{found['case']}: counted with the poses that it was given, for it failed: {found['failed']}")
     name = found["case"] if found["errors"] == "odometry" else f"{found['case']} ({found['errors']})"
     before, after = found["entropy"]
     return [name, f"{found['length_m']:.0f}", str(found["scans"]), *errors, f"{before:.3f}", f"{after:.3f}",

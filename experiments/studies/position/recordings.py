@@ -19,7 +19,6 @@ import csv
 import gzip
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +28,7 @@ from numpy import ndarray
 from echogrid import Frame, Robot, load_log
 from echogrid.output.trajectory import write_tum
 from experiments.common import corridor8 as corridor
+from experiments.common.zones import KINDS, SIDES, ZONES, drone, zone_ranges
 from experiments.studies.position.buildings import SEED
 from experiments.studies.position.cases import Facts, write_case
 from experiments.studies.position.driving import length_of
@@ -36,39 +36,10 @@ from experiments.studies.position.measures import poses_of
 from experiments.studies.position.odometry import Odometry
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
-ZONES, ZONE_DEG = 8, 5.625
-ZONE_OFF_DEG = ((ZONES - 1) / 2 - np.arange(ZONES)) * ZONE_DEG
-KINDS = ("rays", "cones")
-SIDES = {"f": (0.02, 0.0, 0.0), "b": (-0.02, 0.0, 180.0), "l": (0.0, 0.025, 90.0), "r": (0.0, -0.025, -90.0)}
-"""Places of the four sensors of both drones: m, m, degrees."""
 STARTS = {"S6": (0.90, 0.12, 355.0), "S8": (3.02, -5.45, 178.0), "S11": (2.98, -2.12, 111.0)}
 """Where the README of nanosmcl lays the origin of the odometry in the plan: m, m, degrees."""
 _MIDDLE_ROWS = (3, 4)
 """Of the eight rows of zones to the front: those that look neither up nor down."""
-
-
-def drone(kind: str, max_range: float) -> Robot:
-    """Four sensors of eight zones; each side as a cone of 45 degrees, or as a ray for each of its zones."""
-    offs = [0.0] if kind == "cones" else ZONE_OFF_DEG.tolist()
-    mounts = [(x, y, turn + off) for x, y, turn in SIDES.values() for off in offs]
-    return replace(
-        Robot.load("p3dx"),
-        name=f"tof-{kind}",
-        footprint_radius_m=0.06,
-        min_range_m=0.05,
-        max_range_m=max_range,
-        beam_width_rad=float(np.deg2rad(45.0 if kind == "cones" else 6.0)),
-        mounts=np.array(mounts) * [1, 1, np.pi / 180],
-    )
-
-
-def zone_ranges(depth: Float[ndarray, "frames 4 8"], kind: str, robot: Robot) -> Float[ndarray, "frames sonars"]:
-    """Ranges of a drone from its zones' distances along their side's axis (m; nan: none)."""
-    slant = depth / np.cos(np.deg2rad(ZONE_OFF_DEG))
-    if kind == "rays":
-        return robot.clean(slant.reshape(len(slant), -1))
-    least = np.min(np.where(np.isnan(slant), np.inf, slant), axis=2)
-    return robot.clean(np.where(np.isinf(least), np.nan, least))  # nothing valid in a side is not valid
 
 
 def nanoswarm(data: Path, out: Path) -> None:
