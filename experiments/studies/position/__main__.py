@@ -74,7 +74,7 @@ def judged(case: Case, method: Method, errors: str, out: Path | None, maps: bool
     if poses.shape != given.shape:
         raise SystemExit(f"{case.name}: found poses of shape {poses.shape}, expected {given.shape}")
     if out:
-        write_tum(out / f"{case.name}.tum", stamps, poses)
+        write_tum(out / f"{case.name}{'' if errors == 'odometry' else f'-{errors}'}.tum", stamps, poses)
     found: dict[str, Any] = {"case": case.name} | asdict(case.facts) | {"errors": errors, "scans": len(frames)}
     found |= {"failed": failed} if failed else {}
     if case.has_truth:
