@@ -1,0 +1,1 @@
+"""Where the robot was, from ranges and odometry that drifts."""

@@ -1,0 +1,63 @@
+"""Odometry as a witness: what it says of the way between two poses, and how far it is to be believed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from echogrid.geometry import compose, inverse, transform, wrap
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How far odometry may be off, as standard deviations."""
+
+    scale: float = 0.02
+    """Of the length of the way, constant in a drive."""
+    bias: float = np.deg2rad(1.5)
+    """Of the heading, rad a metre, constant in a drive."""
+    turning: float = 0.02
+    """Of the angle turned, constant in a drive."""
+    way: float = 0.04
+    """Of the way, m, after one metre; it grows with the root of the length."""
+    side: float = 0.02
+    """Across the way, likewise."""
+    heading: float = np.deg2rad(1.5)
+    """Of the heading, rad, after one metre, likewise."""
+    turned: float = np.deg2rad(1.5)
+    """Of the heading, rad, after turning one radian, likewise."""
+    still: tuple[float, float] = (0.002, np.deg2rad(0.1))
+    """Of a step in which the robot did not move, m and rad."""
+
+
+PARAMETERS = 3
+"""Of a drive: error of scale, heading bias (rad/m), error of turning."""
+
+
+def steps(poses: Float[ndarray, "frames 3"]) -> Float[ndarray, "less 3"]:
+    """Each pose (m, rad) as seen from the one before."""
+    return compose(inverse(poses[:-1]), poses[1:])
+
+
+def lengths(step: Float[ndarray, "*n 3"]) -> tuple[Float[ndarray, "*n"], Float[ndarray, "*n"]]:
+    """Signed way (m; back is negative) and angle turned (rad) of steps."""
+    way = np.hypot(step[..., 0], step[..., 1])
+    return np.where(step[..., 0] < 0, -way, way), np.abs(step[..., 2])
+
+
+def corrected(step: Float[ndarray, "n 3"], parameters: Float[ndarray, "3"]) -> Float[ndarray, "n 3"]:
+    """Steps of odometry less its systematic error."""
+    scale, bias, turning = parameters
+    way, _ = lengths(step)
+    turn = step[..., 2] * (1 + turning) + bias * way
+    return np.stack([step[..., 0] * (1 + scale), step[..., 1] * (1 + scale), turn], axis=-1)
+
+
+def chained(first: Float[ndarray, "3"], step: Float[ndarray, "n 3"]) -> Float[ndarray, "more 3"]:
+    """The poses that steps lead to, from the first on."""
+    theta = first[2] + np.concatenate([[0.0], np.cumsum(step[:, 2])])
+    cos, sin = np.cos(theta[:-1]), np.sin(theta[:-1])
+    x = first[0] + np.concatenate([[0.0], np.cumsum(cos * step[:, 0] - sin * step[:, 1])])
+    y = first[1] + np.concatenate([[0.0], np.cumsum(sin * step[:, 0] + cos * step[:, 1])])
+    return np.stack([x, y, theta], axis=-1)

@@ -1,0 +1,312 @@
+"""The poses of a drive from its ranges and from odometry that drifts: matches, loops, and a graph of all of them.
+
+docs/position.md tells how it works and what it reaches.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from echogrid.frame import Frame
+from echogrid.geometry import compose, inverse, wrap
+from echogrid.position import walls
+from echogrid.position.graph import Edges, Solution, errors, joined, solve
+from echogrid.position.matching import Match, Seen, Target, match, seen
+from echogrid.position.motion import PARAMETERS, Drift, chained, corrected, lengths, steps
+from echogrid.position.pieces import LocalMaps, pieces, spread_over
+from echogrid.robot import Robot
+
+BEFORE, ANCHOR = 12, 4
+"""A piece is matched to the map of so many pieces before it, and its pose is told from the one so many before it."""
+
+CHAIN = np.array([6.0, 4.0, 10.0])
+"""What the spread of such matches is multiplied with, along, across, heading: those that follow each other overlap and
+err alike, along a corridor and in heading above all."""
+
+CHAIN_SHARE = 0.3
+"""Of a piece's points on known ground that such a match needs."""
+
+LOOP_GAP, LOOP_EVERY, LOOP_REACH_M, LOOPS = 20, 2, 6.0, 2
+"""A loop is closed to pieces at least so many before, looked for at every second piece, at most so far away, to at
+most two places."""
+
+LOOP_SHARE, LOOP_AGREEMENT, LOOP_SURFACE, LOOP_SURFACE_SHARE = 0.5, 0.3, 0.1, 0.4
+"""What a match must reach to close a loop, see ``Match``; without surfaces that agree all free floor is alike."""
+
+WIDE_M, WIDE_RAD = 0.25, np.deg2rad(6.0)
+"""A guess that is spread farther is looked for with a longer piece of the drive."""
+
+KERNEL = 4.0
+"""Standard deviations beyond which a match counts less."""
+
+COMPASS_RAD, COMPASS_EVERY, COMPASS_HALF, COMPASS_SURE_RAD = np.deg2rad(2.5), 3, 5, np.deg2rad(12.0)
+"""How exact the direction of walls is, how often it is taken, over how many pieces to each side, and how well the
+heading must be known, for a quarter turn must not be mistaken."""
+
+POINTS, WIDE_POINTS = 900, 1500
+
+SOLVE_EVERY, SOLVE_ROUNDS = 2, 4
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where a robot was, as its ranges and its odometry say together."""
+
+    poses: Float[ndarray, "frames 3"]
+    """m, m, rad; the first is the log's own first pose."""
+    odometry: Float[ndarray, "frames 3"]
+    """The log's poses."""
+    nodes: Int[ndarray, "nodes"]
+    """Frames at which the graph has poses."""
+    edges: Edges
+    """What is known of the nodes as seen from others: odometry, matches and loops. Those from a node behind the last
+    are headings by the direction of walls."""
+    loops: list[tuple[int, int]]
+    """Nodes between which a loop was closed."""
+    drift: Float[ndarray, "3"]
+    """What corrects the odometry: of its scale, of its heading (rad/m) and of its turning."""
+    notes: dict[str, int]
+    """What is doubtful, and how often; 0 where that says nothing."""
+
+
+def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], None] | None = None) -> Found:
+    """Find the poses of a log whose poses are odometry that drifts.
+
+    Args:
+        frames: the log, at least one frame.
+        robot: the robot that drove.
+        progress: called now and then with the pieces of the drive that are placed, and those in all.
+    """
+    frames = list(frames)
+    odometry = np.array([frame.pose for frame in frames], dtype=float)
+    drive = _Drive(frames, odometry, robot)
+    for k in range(1, drive.count):
+        drive.place(k)
+        if progress:
+            progress(k + 1, drive.count)
+    poses = spread_over(drive.cut, drive.poses, drive.by_odometry)
+    poses = compose(odometry[0], compose(inverse(poses[0]), poses))
+    loops = [(edge.first, edge.second) for edge in drive.matches if edge.loop]
+    nodes = np.array([piece.middle for piece in drive.cut])
+    return Found(poses, odometry, nodes, drive.edges(drive.count), loops, drive.parameters, {})
+
+
+class _Edge(NamedTuple):
+    """A match of a piece as an edge of the graph."""
+
+    first: int
+    second: int
+    pose: Float[ndarray, "3"]
+    information: Float[ndarray, "3 3"]
+    loop: bool
+
+
+class _Drive:
+    """A drive whose pieces are placed one after the other; all that were placed before move with each."""
+
+    def __init__(self, frames: Sequence[Frame], odometry: Float[ndarray, "frames 3"], robot: Robot):
+        self._step = steps(odometry)
+        self.cut = pieces(self._step)
+        self.count = len(self.cut)
+        self.poses = np.zeros((self.count, 3))
+        self.parameters = np.zeros(PARAMETERS)
+        self.matches: list[_Edge] = []
+        self._drift = Drift()
+        self._rng = np.random.default_rng(0)
+        self._maps = LocalMaps(frames, self.cut, robot)
+        self._walls: dict[int, Float[ndarray, "points 2"]] = {}
+        self._headings: dict[int, float] = {}
+        self._compass: float | None = None
+        self._solution: Solution | None = None
+        self._correct()
+
+    def place(self, k: int) -> None:
+        """Place the next piece."""
+        self.poses[k] = compose(self.poses[k - 1], self._odometry.measured[k - 1])
+        self._follow(k)
+        if k % COMPASS_EVERY == 0 and k >= 2 * COMPASS_HALF:
+            self._look_along_walls(k - COMPASS_HALF)
+        if k % LOOP_EVERY == 0 and self._solution is not None:
+            self._close_loops(k)
+        if k % SOLVE_EVERY == 0 or k == self.count - 1:
+            self._solve(k + 1)
+
+    def edges(self, count: int) -> Edges:
+        """What is known of the first so many pieces; a node behind them is the compass."""
+        odometry = Edges(*(each[: count - 1] for each in self._odometry))
+        parts = [odometry]
+        if self.matches:
+            first, second, pose, information, _ = zip(*self.matches, strict=True)
+            width = np.full(len(first), KERNEL)
+            parts.append(Edges(np.array(first), np.array(second), np.array(pose), np.array(information), width))
+        if self._headings:
+            information = np.zeros((len(self._headings), 3, 3))
+            information[:, 2, 2] = COMPASS_RAD**-2
+            pose = np.array([[0.0, 0.0, heading] for heading in self._headings.values()])
+            at, width = np.array(list(self._headings)), np.full(len(pose), 3.0)
+            parts.append(Edges(np.full(len(pose), count), at, pose, information, width))
+        return joined(parts)
+
+    # What odometry says.
+
+    def _correct(self) -> None:
+        """Work out what odometry says with the parameters as they are now."""
+        between, self.by_odometry = self._between(self.parameters)
+        by = np.zeros((self.count - 1, 3, PARAMETERS))
+        small = 1e-4
+        for k in range(PARAMETERS):
+            change = self._between(self.parameters + small * np.eye(PARAMETERS)[k])[0] - between
+            change[:, 2] = wrap(change[:, 2])
+            by[:, :, k] = change / small
+        at = np.arange(self.count - 1)
+        none = np.full(self.count - 1, np.inf)
+        self._odometry = Edges(at, at + 1, between, self._odometry_information(), none, by)
+
+    def _between(self, parameters: ndarray) -> tuple[Float[ndarray, "pairs 3"], Float[ndarray, "frames 3"]]:
+        drive = chained(np.zeros(3), corrected(self._step, parameters))
+        at = drive[[piece.middle for piece in self.cut]]
+        return compose(inverse(at[:-1]), at[1:]), drive
+
+    def _odometry_information(self) -> Float[ndarray, "pairs 3 3"]:
+        drift, middle = self._drift, np.array([piece.middle for piece in self.cut])
+        way, turn = (np.diff(np.concatenate([[0.0], np.cumsum(np.abs(each))])[middle]) for each in lengths(self._step))
+        heading = way * drift.heading**2 + turn * drift.turned**2 + drift.still[1] ** 2
+        still = drift.still[0] ** 2
+        variance = [way * drift.way**2 + still, way * drift.side**2 + still + heading * way**2 / 12, heading]
+        information = np.zeros((self.count - 1, 3, 3))
+        information[:, [0, 1, 2], [0, 1, 2]] = 1 / np.stack(variance, axis=1)
+        return information
+
+    def _drifted(self, first: int, second: int) -> Float[ndarray, "3 3"]:
+        """Covariance of the pose of a piece as seen from an earlier one, by odometry alone, roughly."""
+        variance = np.sum(1 / self._odometry.information[first:second, [0, 1, 2], [0, 1, 2]], axis=0)
+        way = float(np.abs(self._odometry.measured[first:second, 0]).sum())
+        variance[:2] += variance[2] * way**2 / 3
+        return np.diag(variance)
+
+    # Matches.
+
+    def _match(
+        self, k: int, own: range, to: int, target: range, covariance: ndarray, points: int = POINTS, **lattice: int
+    ) -> Match | None:
+        """Match what the pieces ``own`` saw from k to the map of the pieces ``target`` from ``to``."""
+        what = self._seen(k, own, points, False)
+        # Where little is near the echoes from far off are all that there is.
+        far = what.strength < 0.5
+        what = self._seen(k, own, points, True) if far else what
+        if what.strength < 0.05:
+            return None
+        field = self._maps.of(target, self.poses[to], self.poses, self.by_odometry, far)
+        guess = compose(inverse(self.poses[to]), self.poses[k])
+        return match(Target(field), what, guess, covariance, **lattice)
+
+    def _seen(self, k: int, own: range, points: int, far: bool) -> Seen:
+        return seen(self._maps.of(own, self.poses[k], self.poses, self.by_odometry, far), points, self._rng)
+
+    def _follow(self, k: int) -> None:
+        """Match a piece to the map of those before it."""
+        to = max(0, k - ANCHOR)
+        found = self._match(k, range(k, k + 1), to, range(max(0, k - BEFORE), k), self._drifted(to, k))
+        if found and found.share > CHAIN_SHARE:
+            self.matches.append(_Edge(to, k, found.pose, found.information / np.outer(CHAIN, CHAIN), False))
+
+    def _close_loops(self, k: int) -> None:
+        """Match a piece to the maps of places where the robot may have been long before."""
+        distance = np.hypot(*(self.poses[: max(0, k - LOOP_GAP), :2] - self.poses[k, :2]).T)
+        tried: list[int] = []
+        for j in np.argsort(distance).tolist():
+            if len(tried) == LOOPS or distance[j] > LOOP_REACH_M:
+                break
+            if any(abs(j - other) < BEFORE for other in tried):
+                continue
+            covariance = self._relative(j, k)
+            if distance[j] <= 1.5 + 2 * np.sqrt(np.max(np.linalg.eigvalsh(covariance[:2, :2]))):
+                tried.append(j)
+                self._close_loop(j, k, covariance)
+
+    def _close_loop(self, j: int, k: int, covariance: Float[ndarray, "3 3"]) -> None:
+        spread = np.sqrt(np.diag(covariance))
+        target = range(max(0, j - 8), min(j + 9, k - LOOP_GAP // 2))
+        if np.max(spread[:2]) > WIDE_M or spread[2] > WIDE_RAD:
+            count = int(np.clip(np.max(spread[:2]) / 0.03, 11, 25))
+            own = range(max(0, k - 8), k + 1)
+            found = self._match(k, own, j, target, covariance, WIDE_POINTS, levels=3, count=count)
+        else:
+            found = self._match(k, range(max(0, k - 2), k + 1), j, target, covariance)
+        if found and (
+            found.share >= LOOP_SHARE
+            and found.agreement >= LOOP_AGREEMENT
+            and found.surface_agreement >= LOOP_SURFACE
+            and found.surface_share >= LOOP_SURFACE_SHARE
+        ):
+            self.matches.append(_Edge(j, k, found.pose, found.information, True))
+
+    # Headings by the direction of walls.
+
+    def _look_along_walls(self, m: int) -> None:
+        """Take the heading of a piece from the direction of the walls that it and its neighbours saw."""
+        around = range(m - COMPASS_HALF, m + COMPASS_HALF + 1)
+        angle = walls.direction(np.concatenate([self._walls_from(m, k) for k in around]))
+        if angle is None:
+            return
+        if self._compass is None:
+            self._compass = float(self.poses[m, 2] + angle)
+        heading = walls.nearest_quarter(self._compass - angle, float(self.poses[m, 2]))
+        if self._headings:
+            spread = self._heading_spread(m)
+            off = abs(float(wrap(self.poses[m, 2] - heading)))
+            if spread > COMPASS_SURE_RAD or off > 3 * max(spread, COMPASS_RAD):
+                return
+        self._headings[m] = heading
+
+    def _walls_from(self, m: int, k: int) -> Float[ndarray, "points 2"]:
+        """Surface points of piece k as seen from piece m."""
+        if k not in self._walls:
+            field = self._maps.of(range(k, k + 1), self.poses[k], self.poses, self.by_odometry, False)
+            self._walls[k] = walls.surface_points(field, self._rng)
+        points = np.column_stack([self._walls[k], np.zeros(len(self._walls[k]))])
+        return compose(compose(inverse(self.poses[m]), self.poses[k]), points)[:, :2]
+
+    def _heading_spread(self, m: int) -> float:
+        last = min(m, self._placed - 1)
+        variance = self._solved.covariance([last])[0, 0, 2, 2]
+        return float(np.sqrt(variance + (self._drifted(last, m)[2, 2] if m > last else 0.0)))
+
+    # The graph.
+
+    @property
+    def _solved(self) -> Solution:
+        assert self._solution is not None
+        return self._solution
+
+    @property
+    def _placed(self) -> int:
+        """Pieces in the graph when it was last solved; the node behind them is the compass."""
+        return len(self._solved.poses) - 1
+
+    def _solve(self, count: int) -> None:
+        """Bring all pieces that were placed to where all that is known of them agrees best."""
+        spread = np.array([self._drift.scale, self._drift.bias, self._drift.turning])
+        nodes = np.concatenate([self.poses[:count], np.zeros((1, 3))])
+        self._solution = solve(nodes, self.edges(count), self.parameters, spread, SOLVE_ROUNDS)
+        self.poses[:count] = self._solution.poses[:-1]
+        self.parameters = self._solution.parameters
+        self._correct()
+
+    def _relative(self, j: int, k: int) -> Float[ndarray, "3 3"]:
+        """Covariance of the pose of piece k as seen from piece j, in its frame."""
+        last = min(k, self._placed - 1)
+        blocks = self._solved.covariance([j, last])
+        pair = self.poses[[j, last]]
+        seen = compose(inverse(pair[0]), pair[1])
+        one = Edges(np.array([0]), np.array([1]), seen[None], np.eye(3)[None], np.array([np.inf]))
+        _, by_first, by_second, _ = errors(pair, one, one.measured)
+        by = np.concatenate([by_first[0], by_second[0]], axis=1)
+        cos, sin = np.cos(seen[2]), np.sin(seen[2])
+        turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ by
+        covariance = turn @ np.block([[blocks[0, 0], blocks[0, 1]], [blocks[1, 0], blocks[1, 1]]]) @ turn.T
+        return covariance + self._drifted(last, k) if k > last else covariance
