@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from echogrid.mapping.registry import sensor_model
     from echogrid.metrics import score
     from echogrid.output.map_file import read_map, read_truth, write_map
+    from echogrid.position.corrected import slam
     from echogrid.robot import Robot
     from echogrid.simulation.world import World
 
@@ -41,6 +42,7 @@ _HOME = {
     "read_truth": "output.map_file",
     "score": "metrics",
     "sensor_model": "mapping.registry",
+    "slam": "position.corrected",
     "write_map": "output.map_file",
 }
 
@@ -59,6 +61,7 @@ __all__ = [
     "read_truth",
     "score",
     "sensor_model",
+    "slam",
     "write_map",
 ]
 

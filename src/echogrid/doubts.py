@@ -48,6 +48,8 @@ GLITCH_M = 500.0
 STAYS = 20
 """So many frames in a row at the far place, and the robot is taken to be there."""
 
+LEFT_OUT = "a scan left out: its pose is where no robot can have got to"
+
 _WHOLE, _EVERY = 512, 8
 """After so many frames the ranges and headings of every so many-th batch alone are looked at: shares need no more."""
 
@@ -352,7 +354,7 @@ class Judge:
         notes: dict[str, int] = {}
         motion = self.motion
         if self._where.left_out:
-            notes["a scan left out: its pose is where no robot can have got to"] = self._where.left_out
+            notes[LEFT_OUT] = self._where.left_out
         stamp, way = motion.first
         often = motion.fast > OFTEN * motion.steps and motion.steps >= LEAST_STEPS
         if often:

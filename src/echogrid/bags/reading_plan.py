@@ -93,7 +93,7 @@ def planned(survey: Survey) -> Plan:
         scales={numbers[sonar]: scale for sonar, scale in judged.scales.items() if sonar in numbers},
         left_out=unused,
         frames=frames,
-        free=survey.choice.fixed is None,
+        free=survey.choice.fixed is None and not survey.choice.odometry,
         notes=notes | _zeros(survey, sonars) | clocks.notes | judged.notes,
     )
 
@@ -139,7 +139,7 @@ def _moving(transforms: Transforms) -> set[str]:
 def _fixed(survey: Survey, base: str) -> str:
     """The frame to map in, in which the pose of the robot is known."""
     choice, transforms = survey.choice, survey.transforms
-    fixed = choice.fixed.lstrip("/") if choice.fixed else fixed_of(transforms, base)
+    fixed = choice.fixed.lstrip("/") if choice.fixed else fixed_of(transforms, base, choice.odometry)
     if fixed is None or transforms.known(fixed, base) is None:
         raise _no_pose(survey, base, fixed)
     if base in transforms.line(fixed):

@@ -39,11 +39,11 @@ class Ros:
     base_frame: Annotated[str | None, arg(metavar="FRAME")] = None
     """Frame of the robot. Default: the one that carries the sonars and has a pose."""
     fixed_frame: Annotated[str | None, arg(metavar="FRAME")] = None
-    """Frame to map in. Default: map, else odom, or what stands highest."""
+    """Frame to map in. Default: map, else odom, or what stands highest; with --slam odom first."""
 
-    def choice(self) -> Choice:
-        """What to listen to."""
-        return Choice(self.topics, self.base_frame, self.fixed_frame)
+    def choice(self, odometry: bool = False) -> Choice:
+        """What to listen to; ``odometry``: whether the poses are to be odometry."""
+        return Choice(self.topics, self.base_frame, self.fixed_frame, odometry)
 
 
 def open_log(log_file: str | None, robot_name: str | None, choice: Choice | None = None) -> tuple[Log, Robot, bool]:

@@ -14,6 +14,7 @@ from numpy import ndarray
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from echogrid.cli.arguments import Ros, check_map, drop, open_log, print_notes, robot_arg, shown
+from echogrid.cli.poses import POSE_FILES, corrected, pose_files, pose_settings, report, write_poses
 from echogrid.errors import InputError, escaped
 from echogrid.files import made, printable, replacing
 from echogrid.frame import Frame, Log
@@ -25,6 +26,7 @@ from echogrid.track import Track
 
 if TYPE_CHECKING:
     from echogrid.models.model import Model
+    from echogrid.position.corrected import Corrected
 
 
 _COVERED = 0.1
@@ -55,6 +57,9 @@ class Map:
         str | None, robot_arg(". Default: the robot that the log describes, else b21 if the log has 24 sonars")
     ] = None
     ros: Annotated[Ros, OmitArgPrefixes] = field(default_factory=Ros)
+    slam: bool = False
+    """The poses of the log are odometry that drifts: find the true ones first, from ranges and odometry. Also writes
+    trajectory.tum (as found), odometry.tum (as the log says) and graph.g2o. For 4 rangers or more."""
     out: Path = Path("out")
     """Folder for the map."""
     resolution: Annotated[float | None, arg(metavar="M")] = None
@@ -83,18 +88,26 @@ class Map:
         from echogrid.output.map_file import write_map
 
         check_map(self.resolution, self.half_life)
-        log, robot, named = open_log(self.log, self.robot, self.ros.choice())
+        log, robot, named = open_log(self.log, self.robot, self.ros.choice(odometry=self.slam))
         model = sensor_model(self.interpreter)
         title = escaped(f"{Path(log.name).name}, {robot.name}, {model.name}")
         with made(self.out), ExitStack() as stack:  # a folder that cannot be made is found now, not after the mapping
-            check_folder(self.out, self._besides())
-            followers = list(self._followers(robot, title, stack))
+            check_folder(self.out, [*self._besides(), *(POSE_FILES if self.slam else ())])
+            drive = corrected(log, robot) if self.slam else None
+            log = drive.log if drive else log
+            followers = list(self._followers(robot, title, drive, stack))
             mapped = self._mapped(log, robot, model, followers)
-            write_map(self.out, mapped.grid, mapped.path, self._settings(log, robot, model, mapped), title, self.pgm)
+            settings = self._settings(log, robot, model, mapped, drive)
+            told = drive.odometry[:, :2] if drive else None
+            write_map(self.out, mapped.grid, mapped.path, settings, title, self.pgm, told)
             for follower in followers:
                 follower.finish(mapped.grid)
-        drop(self.out, self._besides(), log.name)
+            if drive:
+                write_poses(self.out, drive)
+        drop(self.out, [*self._besides(), *(pose_files(drive) if drive else ())], log.name)
         self._report(log, robot, named, mapped)
+        if drive:
+            report(self.out, drive)
         if self.rerun:
             self._show()
 
@@ -126,11 +139,13 @@ class Map:
         seconds = time.perf_counter() - begin
         return _Mapped(grid.refined() if self.refine else grid, path.points(), count, seconds)
 
-    def _settings(self, log: Log, robot: Robot, model: "Model", mapped: _Mapped) -> dict[str, Any]:
+    def _settings(
+        self, log: Log, robot: Robot, model: "Model", mapped: _Mapped, drive: "Corrected | None"
+    ) -> dict[str, Any]:
         """What run.yaml holds: what is needed to repeat the run."""
         settings = asdict(self) | {"log": log.name, "robot": robot_yaml(robot), "frames": mapped.frames}
         settings |= {"resolution": mapped.grid.resolution, "notes": dict(log.notes)}
-        return settings | model.told()
+        return settings | (pose_settings(drive) if drive else {}) | model.told()
 
     def _report(self, log: Log, robot: Robot, named: bool, mapped: _Mapped) -> None:
         if not named:
@@ -147,12 +162,12 @@ class Map:
         asked = {"map.html": self.view, "map.mcap": self.mcap, "map.rrd": self.rerun}
         return [name for name, wanted in asked.items() if wanted]
 
-    def _followers(self, robot: Robot, title: str, stack: ExitStack) -> Iterator[Follower]:
+    def _followers(self, robot: Robot, title: str, drive: "Corrected | None", stack: ExitStack) -> Iterator[Follower]:
         """What the options ask for beside the map; their files are whole when the stack is closed."""
         if self.view:
             from echogrid.output.page import Page
 
-            yield Page(stack.enter_context(replacing(self.out / "map.html")), robot, title)
+            yield Page(stack.enter_context(replacing(self.out / "map.html")), robot, title, drive.loops if drive else None)
         if self.mcap:
             from echogrid.output.mcap_file import Recorder
 

@@ -66,9 +66,9 @@ def load_log(path: str | Path, robot: Robot | None = None, choice: Choice | None
     """
     path, choice = Path(path), choice or Choice()
     name = printable(path)
-    asked = [reader for reader in reversed(READERS) if reader.chooses or choice == Choice()]
+    asked = [reader for reader in reversed(READERS) if reader.chooses or not choice.names]
     reader = next((reader for reader in asked if reader.recognises(path)), None)
-    if reader is None and choice != Choice():
+    if reader is None and choice.names:
         raise InputError(name, "a log that is no bag", "a bag, for topics and frames to be chosen from")
     if reader is None:
         formats = " or ".join(reader.format for reader in READERS)

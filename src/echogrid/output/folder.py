@@ -11,7 +11,7 @@ from echogrid.temporary import sweep
 ALWAYS = ("map.png", "map.npz", "map.pgm", "map.yaml", "run.yaml")
 """What a map is in its folder."""
 
-ASKED_FOR = ("map.html", "map.mcap", "map.rrd")
+ASKED_FOR = ("map.html", "map.mcap", "map.rrd", "trajectory.tum", "odometry.tum", "graph.g2o")
 """What is there besides where it was asked for."""
 
 

@@ -40,6 +40,7 @@ def write_map(
     settings: Mapping[str, Any],
     title: str = "",
     mode: PgmMode = "trinary",
+    odometry_world: Float[ndarray, "told _"] | None = None,
 ) -> None:
     """Write a map into a folder (made if need be): map.pgm, map.yaml, map.png, map.npz and run.yaml.
 
@@ -63,6 +64,7 @@ def write_map(
         settings: what is needed to repeat the run; values that YAML lacks are written as text.
         title: the heading of the picture.
         mode: of map.pgm.
+        odometry_world: the drive as the odometry had it, likewise, where its poses were corrected; map.png shows both.
 
     Raises:
         UsageError: the map has no cells or has nan among its log-odds, or the folder cannot be written.
@@ -78,7 +80,7 @@ def write_map(
         "map.yaml": lambda new: new.write_text(map_yaml(grid, mode), encoding="utf-8"),
         "map.pgm": lambda new: new.write_bytes(pgm(PIXELS[mode](grid))),
         "map.npz": lambda new: _save_npz(new, log_odds=log_odds, observed=grid.observed, **_place(grid)),
-        "map.png": lambda new: draw_map(new, grid, path_world, title),
+        "map.png": lambda new: draw_map(new, grid, path_world, title, odometry_world),
     }
     folder = Path(folder)
     with made(folder), ExitStack() as stack:

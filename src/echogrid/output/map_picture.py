@@ -21,16 +21,25 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
 
-def draw_map(path: Path, grid: Grid, path_world: Float[ndarray, "poses _"], title: str) -> None:
-    """The picture for people, as PNG: what was observed of the map, the drive, and a key below."""
+def draw_map(
+    path: Path,
+    grid: Grid,
+    path_world: Float[ndarray, "poses _"],
+    title: str,
+    odometry_world: Float[ndarray, "told _"] | None = None,
+) -> None:
+    """The picture for people, as PNG: what was observed of the map, the drive, and a key below.
+
+    Where poses were corrected the drive as the odometry had it is there too.
+    """
     # Without pyplot, which keeps figures in global state.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    drive = np.asarray(path_world, dtype=float)[:, :2]
-    drive = drive[np.isfinite(drive).all(axis=1)]
+    drive, told = _places(path_world), _places(np.empty((0, 2)) if odometry_world is None else odometry_world)
     image, *corners = _image(grid.observed_part() or grid)
-    low, high = np.min([*corners, *_box(drive)], axis=0), np.max([*corners, *_box(drive)], axis=0)
+    boxes = [*corners, *_box(drive), *_box(told)]
+    low, high = np.min(boxes, axis=0), np.max(boxes, axis=0)
     margin = 0.03 * np.max(high - low)
     low, high = low - margin, high + margin
     inch_per_m = _MAP_INCHES / np.max(high - low)
@@ -46,8 +55,12 @@ def draw_map(path: Path, grid: Grid, path_world: Float[ndarray, "poses _"], titl
     _set_ticks(axes, size, inch_per_m)
     heading = title if len(title) <= _TITLE_LENGTH else title[: _TITLE_LENGTH - 3] + "..."
     figure.text(0.5, 1 - 0.25 / page[1], heading, ha="center", va="center", size=11, parse_math=False)
+    near = _NEAR_PIXELS / (_DPI * inch_per_m)
+    if len(told):
+        # Below the drive and thinner: it is what the map was not made from.
+        axes.plot(*line_of(told, near).T, color="tab:orange", lw=1.0, label="odometry")
     if len(drive):
-        _draw_drive(axes, line_of(drive, _NEAR_PIXELS / (_DPI * inch_per_m)))
+        _draw_drive(axes, line_of(drive, near))
     _draw_key(figure, axes, shown, inch_per_m)
     with warnings.catch_warnings():
         # A title in a script that the font lacks is drawn as boxes; that is no reason to bother anyone.
@@ -82,6 +95,12 @@ def _set_ticks(axes: "Axes", size: Float[ndarray, "2"], inch_per_m: float) -> No
     for axis, inches in zip((axes.xaxis, axes.yaxis), size, strict=True):
         spacing = min(1.0, max(inches / 2, 0.45))
         axis.set_major_locator(MultipleLocator(_round_length(spacing / inch_per_m)))
+
+
+def _places(path_world: Float[ndarray, "poses _"]) -> Float[ndarray, "fewer 2"]:
+    """x, y of poses, m, where they are numbers."""
+    places = np.asarray(path_world, dtype=float)[:, :2]
+    return places[np.isfinite(places).all(axis=1)]
 
 
 def _box(points: Float[ndarray, "n 2"]) -> list[Float[ndarray, "2"]]:

@@ -10,6 +10,7 @@ import html
 import json
 import re
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -43,19 +44,26 @@ NOT_FIRED, NO_ECHO = 65535, 65534
 _ANGLE_UNIT = 1e-4
 
 
+Loops = Sequence[tuple[int, int]]
+"""Pairs of frames at which the robot was in one place."""
+
+MAX_LOOPS = 2000
+"""Of more the page shows every so many-th."""
+
+
 class Page(Recording):
     """A recording that becomes a page when the map is finished."""
 
-    def __init__(self, path: Path, robot: Robot, title: str):
+    def __init__(self, path: Path, robot: Robot, title: str, loops: Loops | None = None):
         super().__init__(robot)
-        self.path, self.title = path, title
+        self.path, self.title, self.loops = path, title, loops
 
     def finish(self, grid: Grid) -> None:
         """Write the page, see ``write_page``."""
-        write_page(self.path, grid, self, self.title)
+        write_page(self.path, grid, self, self.title, self.loops)
 
 
-def write_page(path: str | Path, grid: Grid, recording: Recording, title: str) -> None:
+def write_page(path: str | Path, grid: Grid, recording: Recording, title: str, loops: Loops | None = None) -> None:
     """Write the page, whole or not at all.
 
     Args:
@@ -63,6 +71,8 @@ def write_page(path: str | Path, grid: Grid, recording: Recording, title: str) -
         grid: the finished map.
         recording: the drive, and the map on the way.
         title: heading of the page, any text.
+        loops: where poses were corrected, the frames between which loops were closed, from 0; the page then shows
+            ``Frame.odom`` as the drive of the odometry.
 
     Raises:
         UsageError: nothing was recorded, the map has no cells or other ones than those on the way, or the file
@@ -73,10 +83,11 @@ def write_page(path: str | Path, grid: Grid, recording: Recording, title: str) -
         raise UsageError("page: found no frames or no cells, expected at least one frame with a reading")
     facts: dict[str, Any] = {"scans": recording.scans, "stride": recording.stride, "p_min": P_MIN, "p_max": P_MAX}
     arrays: dict[str, ndarray] = {}
-    for more_facts, more_arrays in (_drive(frames, recording.robot), _maps(grid, recording)):
+    corrected = ({}, {}) if loops is None else _correction(frames, loops)
+    for more_facts, more_arrays in (_drive(frames, recording.robot), _maps(grid, recording), corrected):
         facts |= more_facts
         arrays |= more_arrays
-    facts["box"] = _box(facts, frames)
+    facts["box"] = _box(facts, frames, corrected=loops is not None)
     text = _filled(facts, arrays, title)
     with replacing(path) as new:
         # A name may hold bytes that are no text, which UTF-8 cannot carry.
@@ -127,6 +138,25 @@ def _drive(frames: list[tuple[int, Frame]], robot: Robot) -> tuple[dict[str, Any
     return {"first": first.tolist(), "units": units, "robot": shown}, arrays
 
 
+def _correction(frames: list[tuple[int, Frame]], loops: Loops) -> tuple[dict[str, Any], dict[str, ndarray]]:
+    """The drive as the odometry had it, and where loops were closed.
+
+    Columns of differences as of ``_drive``: ``told_x``, ``told_y`` from ``told`` in their unit; ``loops``: pairs of
+    scans of the page, those kept that are nearest.
+    """
+    told = np.array([frame.pose if frame.odom is None else frame.odom for _, frame in frames])[:, :2]
+    first = np.round(told[0], 3)
+    unit = _unit(told - first, 1e-4)
+    arrays: dict[str, ndarray] = {
+        f"told_{axis}": _differences(told[:, i] - first[i], unit) for i, axis in enumerate("xy")
+    }
+    numbers = np.array([number for number, _ in frames])
+    pairs = np.array(loops, dtype=int).reshape(-1, 2)[:: -(-len(loops) // MAX_LOOPS) or 1] + 1
+    after = np.clip(np.searchsorted(numbers, pairs), 1, max(len(numbers) - 1, 1)).clip(max=len(numbers) - 1)
+    nearer = np.where(pairs - numbers[after - 1] <= numbers[after] - pairs, after - 1, after)
+    return {"told": {"first": first.tolist(), "unit": unit}, "loops": nearer.tolist(), "closed": len(loops)}, arrays
+
+
 def _turned(mounts: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3"]:
     return np.concatenate([mounts[..., :2], wrap(mounts[..., 2:])], axis=-1)
 
@@ -140,9 +170,12 @@ def _differences(values: Float[ndarray, "n"] | Integer[ndarray, "n"], unit: floa
     return np.diff(np.rint(values / unit).astype(np.int64), prepend=0).astype(np.int32)
 
 
-def _box(facts: dict[str, Any], frames: list[tuple[int, Frame]]) -> list[float]:
-    """Lowest x, y and highest x, y of the map and the robot's places, m, world."""
-    places = np.array([frame.pose[:2] for _, frame in frames])
+def _box(facts: dict[str, Any], frames: list[tuple[int, Frame]], corrected: bool) -> list[float]:
+    """Lowest x, y and highest x, y of the map and the robot's places, those of the odometry too, m, world."""
+    poses = [frame.pose for _, frame in frames]
+    if corrected:
+        poses += [frame.odom for _, frame in frames if frame.odom is not None]
+    places = np.array(poses)[:, :2]
     cell, reach = facts["resolution"], facts["robot"]["footprint"]
     low = np.array(facts["origin"])
     high = low + np.array([facts["cols"], facts["rows"]]) * cell

@@ -42,6 +42,13 @@ class Choice:
     """Frame of the robot; None: told from tf and odometry."""
     fixed: str | None = None
     """Frame to map in; None: map, else what stands highest above the robot."""
+    odometry: bool = False
+    """Whether the poses are to be odometry: odom is the frame to map in, where there is one and none is named."""
+
+    @property
+    def names(self) -> bool:
+        """Whether topics or frames are named, which only bags have."""
+        return (self.topics, self.base, self.fixed) != ((), None, None)
 
     def takes(self, topic: str) -> bool:
         """Whether a topic is among the chosen."""

@@ -98,8 +98,17 @@ def base_of(transforms: Transforms, frame: str) -> str:
     return next((name for name in reversed(line) if not stands_still(name)), line[-1])
 
 
-def fixed_of(transforms: Transforms, base: str) -> str | None:
-    """The frame to map in: ``map`` if the robot's pose leads up to one, else the highest; None if there is none."""
+def fixed_of(transforms: Transforms, base: str, odometry: bool = False) -> str | None:
+    """The frame to map in: ``map`` if the robot's pose leads up to one, else the highest; None if there is none.
+
+    Args:
+        transforms: what is known of frames.
+        base: the robot's.
+        odometry: whether ``odom`` is rather taken than ``map``.
+    """
     above = transforms.line(base)[1:]
-    maps = (name for name in above if stands_still(name) and "map" in name.split("/")[-1])
-    return next(maps, above[-1] if above else None)
+    for wanted in ("odom", "map") if odometry else ("map",):
+        for name in above:
+            if stands_still(name) and wanted in name.split("/")[-1]:
+                return name
+    return above[-1] if above else None

@@ -1,0 +1,65 @@
+"""What ``map --slam`` does besides mapping: the poses found, under a bar, and their files."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from echogrid.cli.arguments import shown
+from echogrid.errors import escaped
+from echogrid.frame import Log
+from echogrid.output.graph_file import write_g2o
+from echogrid.output.trajectory import write_tum
+from echogrid.position.corrected import Corrected, slam
+from echogrid.robot import Robot
+
+POSE_FILES = ("trajectory.tum", "odometry.tum", "graph.g2o")
+
+
+def corrected(log: Log, robot: Robot) -> Corrected:
+    """The log with the poses that are found, under progress bars."""
+    read = replace(log, open=lambda: shown(log, "reading"), judges=True)
+    with tqdm(desc="finding poses", unit="node", disable=None, leave=False) as line:
+
+        def progress(done: int, of: int) -> None:
+            line.total = of
+            line.update(done - line.n)
+
+        return slam(read, robot, progress)
+
+
+def pose_files(drive: Corrected) -> list[str]:
+    """Those of POSE_FILES that there are; where nothing was to be found there is no graph."""
+    return list(POSE_FILES if drive.found is not None else POSE_FILES[:2])
+
+
+def write_poses(folder: Path, drive: Corrected) -> None:
+    """Write the files of poses."""
+    write_tum(folder / "trajectory.tum", drive.stamps, drive.poses)
+    write_tum(folder / "odometry.tum", drive.stamps, drive.odometry)
+    if (found := drive.found) is not None:
+        edges = found.edges
+        nodes = drive.poses[found.nodes]
+        write_g2o(folder / "graph.g2o", nodes, edges.first, edges.second, edges.measured, edges.information)
+
+
+def pose_settings(drive: Corrected) -> dict[str, Any]:
+    """What run.yaml says of them: loops, and by what the odometry is to be multiplied or turned to be right."""
+    if drive.found is None:
+        return {"loops": 0, "odometry": None}
+    way, bias, turn = drive.found.drift.tolist()
+    right = {"way_times": 1 + way, "turns_times": 1 + turn, "heading_deg_m": np.rad2deg(bias).item()}
+    return {"loops": len(drive.loops), "odometry": {name: round(value, 5) for name, value in right.items()}}
+
+
+def report(folder: Path, drive: Corrected) -> None:
+    """Say what was found."""
+    if drive.found is None:
+        return  # a note says so
+    far, turned = drive.farthest
+    off = f"the odometry is up to {far:.2f} m and {np.rad2deg(turned):.1f} degrees from them"
+    count = len(drive.loops)
+    loops = f"{count or 'no'} {'loop' if count == 1 else 'loops'}"
+    print(escaped(f"{folder}/trajectory.tum: the poses, with {loops} closed; {off}"))

@@ -1,0 +1,136 @@
+"""A log of odometry in, the log with the poses that ranges and odometry say together out."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from echogrid.doubts import FASTEST_M_S, LEFT_OUT
+from echogrid.errors import InputError
+from echogrid.frame import Frame, Log
+from echogrid.geometry import wrap
+from echogrid.mapping.intake import check_robot, cleaned, fitting
+from echogrid.position import motion
+from echogrid.position.odometry import mended
+from echogrid.position.slam import Found
+from echogrid.position.slam import slam as found_by
+from echogrid.robot import Robot
+
+LEAST_SONARS = 4
+"""Of fewer no place is told from another."""
+
+LEAST_M = 0.5
+"""A robot that gets no farther (diagonal of the box of its places, m) has stood: there is nothing to find."""
+
+LONE_M = 30.0
+"""In a drive that is longer it is told if no place was seen twice."""
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """Where a robot was."""
+
+    log: Log
+    """The frames with the poses that were found; ``Frame.odom`` is what the log said. Its notes say what is doubtful
+    about the log and about the poses."""
+    stamps: Float[ndarray, "frames"]
+    """Of the frames, s."""
+    poses: Float[ndarray, "frames 3"]
+    """As found, m, m, rad; the first is the log's own."""
+    odometry: Float[ndarray, "frames 3"]
+    """As the log said."""
+    found: Found | None = field(repr=False)
+    """The graph of the drive and what the ranges say of the odometry; None where there was nothing to find."""
+
+    @property
+    def notes(self) -> dict[str, int]:
+        """What is doubtful, and how often; 0 where that says nothing."""
+        return self.log.notes
+
+    @property
+    def loops(self) -> list[tuple[int, int]]:
+        """Frames between which the drive was found to come back to a place."""
+        return [] if self.found is None else [tuple(self.found.nodes[[*pair]].tolist()) for pair in self.found.loops]
+
+    @property
+    def farthest(self) -> tuple[float, float]:
+        """How far the odometry is from what was found at most, m and rad."""
+        off = self.odometry - self.poses
+        return float(np.hypot(off[:, 0], off[:, 1]).max()), float(np.abs(wrap(off[:, 2])).max())
+
+
+def slam(log: Iterable[Frame], robot: Robot, progress: Callable[[int, int], object] | None = None) -> Corrected:
+    """Find where the robot was in a log whose poses are odometry that drifts.
+
+    What no robot does (jumps, a start anew at 0) is mended first, and told. All frames are kept in memory.
+
+    Args:
+        log: frames, as ``build_map`` takes them.
+        robot: the robot that drove, with at least LEAST_SONARS rangers.
+        progress: called with what is done and what there is in all, now and then.
+
+    Raises:
+        UsageError: as of ``Mapper.add``.
+        InputError: no frames, too few sonars, or poses that are no odometry.
+    """
+    check_robot(robot)
+    name = log.name if isinstance(log, Log) else "frames"
+    if robot.sonars < LEAST_SONARS:
+        raise InputError(name, f"{robot.sonars} sonars", f"at least {LEAST_SONARS} to find poses by")
+    frames = cleaned(list(fitting(log, robot)), robot)
+    if not frames:
+        raise InputError(name, "no frames", "at least one")
+    stamps, odometry, ranges = (
+        np.array(column, dtype=float) for column in zip(*((f.stamp, f.pose, f.ranges) for f in frames), strict=True)
+    )
+    told = mended(stamps, odometry, ranges)
+    if told.impossible:
+        share = f"{told.impossible:.0%} of the steps of the odometry faster than {FASTEST_M_S:g} m/s"
+        raise InputError(name, share, "poses in m and rad, and stamps in s")
+    notes = log.notes if isinstance(log, Log) else {}
+    notes.pop(LEFT_OUT, None)  # here such scans stay, with another pose
+    notes |= told.notes
+    found = None
+    if why := _nothing_to_find(told.poses, ranges):
+        notes[why] = 0
+    else:
+        found = found_by([replace(f, pose=p) for f, p in zip(frames, told.poses, strict=True)], robot, progress)
+        notes |= found.notes | _alone(found)
+    poses = told.poses if found is None else found.poses
+    posed = Log(name, robot.sonars, log.robot if isinstance(log, Log) else None, _Posed(frames, poses), notes)
+    return Corrected(replace(posed, judges=True), stamps, poses, odometry, found)
+
+
+@dataclass(frozen=True)
+class _Posed:
+    """Goes through frames with other poses."""
+
+    frames: Sequence[Frame]
+    poses: Float[ndarray, "frames 3"]
+
+    def __call__(self) -> Iterator[Frame]:
+        for frame, pose in zip(self.frames, self.poses, strict=True):
+            yield replace(frame, pose=pose, odom=frame.pose)
+
+
+def _nothing_to_find(poses: Float[ndarray, "frames 3"], ranges: Float[ndarray, "frames sonars"]) -> str:
+    """Why the odometry is taken as it is; empty if there is something to find."""
+    if not np.isfinite(ranges).any():
+        return "no sonar heard an echo: nothing to find the poses by, they are those of the odometry"
+    size = float(np.hypot(*np.ptp(poses[:, :2], axis=0)))
+    if size < LEAST_M:
+        stands = "one scan" if len(poses) == 1 else f"the robot never gets farther than {size:.2f} m"
+        return f"{stands}: no poses to find, they are those of the odometry"
+    return ""
+
+
+def _alone(found: Found) -> dict[str, int]:
+    """A note, if no place was seen twice in a long drive."""
+    way, _ = motion.lengths(motion.steps(found.poses[found.nodes]))
+    length = float(np.abs(way).sum())
+    if found.loops or length <= LONE_M:
+        return {}
+    only = f"the map is only as good as odometry and scans are from one to the next over {length:.0f} m"
+    return {f"no place was seen twice: {only} (a drive that comes back to where it was tells more)": 0}
