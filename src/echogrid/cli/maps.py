@@ -98,8 +98,9 @@ class Map:
             followers = list(self._followers(robot, title, drive, stack))
             mapped = self._mapped(log, robot, model, followers)
             settings = self._settings(log, robot, model, mapped, drive)
-            told = drive.odometry[:, :2] if drive else None
-            write_map(self.out, mapped.grid, mapped.path, settings, title, self.pgm, told)
+            # Beside each other both paths are drawn as closely as they are known.
+            path, told = (drive.poses, drive.odometry) if drive else (mapped.path, None)
+            write_map(self.out, mapped.grid, path, settings, title, self.pgm, told)
             for follower in followers:
                 follower.finish(mapped.grid)
             if drive:
@@ -167,7 +168,8 @@ class Map:
         if self.view:
             from echogrid.output.page import Page
 
-            yield Page(stack.enter_context(replacing(self.out / "map.html")), robot, title, drive.loops if drive else None)
+            page = stack.enter_context(replacing(self.out / "map.html"))
+            yield Page(page, robot, title, drive.loops if drive else None)
         if self.mcap:
             from echogrid.output.mcap_file import Recorder
 

@@ -24,12 +24,13 @@ def write_g2o(
 
     Args:
         path: the file.
-        poses: of the nodes, m, m, rad. Edges may name one node more, of which only its direction is known (that of
-            the walls): it is written with the heading that they give it, at the place of the first node.
-        first, second: nodes of the edges.
+        poses: of the nodes, m, m, rad. Edges may begin at one node more, of which the direction alone is known (that
+            of the walls): it is written with the heading that they give it, at the place of the first node.
+        first: nodes of the edges.
+        second: their other nodes.
         measured: pose of the second as seen from the first, m, m, rad.
-        information: inverse of its covariance, in the frame of the measured pose, as g2o has it; its upper triangle is
-            written row by row.
+        information: inverse of its covariance, in the frame of the measured pose, as g2o has it; its upper
+            triangle is written row by row.
 
     Raises:
         UsageError: the file cannot be written.

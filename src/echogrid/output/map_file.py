@@ -64,7 +64,7 @@ def write_map(
         settings: what is needed to repeat the run; values that YAML lacks are written as text.
         title: the heading of the picture.
         mode: of map.pgm.
-        odometry_world: the drive as the odometry had it, likewise, where its poses were corrected; map.png shows both.
+        odometry_world: the drive as the odometry had it, likewise, where poses were corrected; map.png shows both.
 
     Raises:
         UsageError: the map has no cells or has nan among its log-odds, or the folder cannot be written.

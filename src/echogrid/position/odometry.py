@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from echogrid.doubts import FASTEST_M_S, FASTEST_RAD_S, JUMP_M, JUMP_RAD, LEAST_STEPS, OFTEN, STAYS
-from echogrid.geometry import compose, inverse, wrap
+from echogrid.geometry import wrap
 from echogrid.position import motion
 
 SELDOM = 1.3
