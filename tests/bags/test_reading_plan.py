@@ -184,6 +184,8 @@ def test_a_frame_that_gets_another_parent_once_has_not_two_in_turn(put):
 
 def test_the_frames_can_be_chosen(put):
     path = put([*DRIVE, *fixed("map", "odom", SHIFT), *fixed("base_link", "turret", (0.1, 0, pi / 2))])
+    assert_same_frames(load_log(path, choice=Choice(odometry=True)), FRAMES)
+    assert_same_frames(load_log(path, choice=Choice(fixed="map", odometry=True)), shifted(FRAMES, SHIFT))
     assert_same_frames(load_log(path, choice=Choice(fixed="/odom")), FRAMES)
     log = load_log(path, choice=Choice(fixed="odom", base="turret"))
     assert_same_frames(log, [replace(f, pose=compose(f.pose, np.array([0.1, 0, pi / 2]))) for f in FRAMES])

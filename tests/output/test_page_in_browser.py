@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -284,5 +285,28 @@ def test_at_400_pixels_everything_is_within_reach(opened):
 
 def test_every_control_has_a_name(opened):
     controls = opened.find_elements("css selector", "button, input, select, canvas")
+    controls = [control for control in controls if control.is_displayed()]
     assert len(controls) == 11
     assert [control.get_attribute("id") for control in controls if not control.accessible_name] == []
+
+
+def test_a_corrected_drive_shows_what_the_odometry_said_and_the_loops(browser, tmp_path):
+    recording = Recording(ROBOT)
+    for number, frame in a_recording().frames():
+        recording.add(replace(frame, odom=frame.pose + number * np.array([0.02, 0.01, 0.0])))
+    write_page(tmp_path / "map.html", a_grid(), recording, "corrected", [(3, 30), (5, 39)])
+    opened_page(browser, tmp_path / "map.html")
+    assert by_id(browser, "closed").text == "2 loops closed: found to be near, by their ranges"
+    assert browser.execute_script("return facts.loops") == [[3, 30], [5, 39]]
+    first = recording.frames()[0][1].odom
+    told = browser.execute_script("return [scans.toldX[0], scans.toldY[0], scans.toldX[39] - scans.x[39]]")
+    assert told == pytest.approx([*first[:2], 0.02 * 40], abs=1e-3)
+    both = picture(browser)
+    by_id(browser, "odometry").click()
+    assert picture(browser) != both
+    assert [entry for entry in browser.get_log("browser") if entry["level"] != "INFO"] == []
+
+
+def test_a_drive_of_good_poses_shows_neither(opened):
+    assert not by_id(opened, "odometry").is_displayed()
+    assert not by_id(opened, "closed").is_displayed()

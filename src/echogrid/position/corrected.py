@@ -24,6 +24,9 @@ LEAST_SONARS = 4
 LEAST_M = 0.5
 """A robot that gets no farther (diagonal of the box of its places, m) has stood: there is nothing to find."""
 
+UNHEARD_M = 3.0
+"""A way without an echo that is longer is told."""
+
 LONE_M = 30.0
 """In a drive that is longer it is told if no place was seen twice."""
 
@@ -97,7 +100,7 @@ def slam(log: Iterable[Frame], robot: Robot, progress: Callable[[int, int], obje
         notes[why] = 0
     else:
         found = found_by([replace(f, pose=p) for f, p in zip(frames, told.poses, strict=True)], robot, progress)
-        notes |= found.notes | _alone(found)
+        notes |= found.notes | _unheard(stamps, found.poses, ranges) | _alone(found)
     poses = told.poses if found is None else found.poses
     posed = Log(name, robot.sonars, log.robot if isinstance(log, Log) else None, _Posed(frames, poses), notes)
     return Corrected(replace(posed, judges=True), stamps, poses, odometry, found)
@@ -124,6 +127,22 @@ def _nothing_to_find(poses: Float[ndarray, "frames 3"], ranges: Float[ndarray, "
         stands = "one scan" if len(poses) == 1 else f"the robot never gets farther than {size:.2f} m"
         return f"{stands}: no poses to find, they are those of the odometry"
     return ""
+
+
+def _unheard(
+    stamps: Float[ndarray, "frames"], poses: Float[ndarray, "frames 3"], ranges: Float[ndarray, "frames sonars"]
+) -> dict[str, int]:
+    """A note on ways in which no sonar heard an echo, if they are long."""
+    heard = np.flatnonzero(np.isfinite(ranges).any(axis=1))
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*motion.steps(poses)[:, :2].T))])
+    ends = np.concatenate([[0], heard, [len(poses) - 1]])
+    lengths = np.diff(way[ends])
+    if not (silent := np.flatnonzero(lengths > UNHEARD_M)).size:
+        return {}
+    longest = int(np.argmax(lengths))
+    since, till = stamps[ends[longest : longest + 2]].tolist()
+    where = f"no sonar heard an echo for {lengths[longest]:.1f} m, from {since:.2f} to {till:.2f} s"
+    return {f"{where}: there the poses are those of the odometry": len(silent) if len(silent) > 1 else 0}
 
 
 def _alone(found: Found) -> dict[str, int]:

@@ -161,7 +161,7 @@ def _alike(ranges: Float[ndarray, "frames sonars"], frame: int) -> bool | None:
     both = np.isfinite(last) & np.isfinite(first)
     if both.sum() < _FEW:
         return None
-    return bool(np.mean(np.abs(last - first)[both] < _ALIKE_M) >= _ALIKE)
+    return bool(np.mean(np.abs(last[both] - first[both]) < _ALIKE_M) >= _ALIKE)
 
 
 def _between(
