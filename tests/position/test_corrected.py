@@ -1,5 +1,6 @@
 """Poses are found from ranges and odometry that drifts: laws on the shipped sample, a drive whose poses are true."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -11,7 +12,9 @@ from echogrid import Frame, Log, Robot, load_log, slam
 from echogrid.errors import InputError, UsageError
 from echogrid.geometry import compose, inverse
 from echogrid.metrics import trajectory_error
-from echogrid.position.corrected import LEAST_SONARS
+from echogrid.position.corrected import LEAST_SONARS, _alone, _loose
+from echogrid.position.graph import Edges
+from echogrid.position.slam import Found
 from experiments.studies.position.odometry import Odometry
 
 B21 = Robot.load("b21")
@@ -139,3 +142,30 @@ def test_what_is_no_odometry_is_refused_in_one_line():
         slam([Frame(0.0, np.zeros(3), np.ones(3))], few)
     with pytest.raises(UsageError, match=r"frame 1 .*found x = nan"):
         slam(posed(TRUTH * np.where(np.arange(521)[:, None] == 1, np.nan, 1.0)), B21)
+
+
+def laps(gap_m, loops):
+    """What is found of two laps on one line of 20 m, so far beside each other."""
+    x = np.concatenate([np.arange(0, 20, 0.5), np.arange(20, 0, -0.5)])
+    nodes = np.column_stack([x, np.where(np.arange(80) < 40, 0.0, gap_m), np.zeros(80)])
+    none = np.zeros(0, dtype=int)
+    edges = Edges(none, none, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0))
+    return Found(nodes, nodes, np.arange(80), edges, loops, np.zeros(3), {})
+
+
+def test_laps_beside_each_other_that_no_loop_ties_are_told():
+    far = [(0, 79)]
+    (note,) = _loose(laps(1.0, far))
+    assert re.search(r"no loop ties them: walls may be double there \(longest, \d+\.\d m, from x ", note)
+    assert _loose(laps(5.0, far)) == {}
+    assert _loose(laps(1.0, [(i, 79 - i) for i in range(0, 40, 4)])) == {}
+    # That there is no loop at all is told otherwise.
+    assert _loose(laps(1.0, [])) == {}
+
+
+def test_a_long_drive_without_a_loop_is_told():
+    drive = laps(5.0, [])
+    assert _alone(replace(drive, poses=drive.poses * [0.5, 0.5, 1])) == {}
+    far = drive
+    assert [note for note in _alone(far) if note.startswith("no place was seen twice")]
+    assert _alone(replace(far, loops=[(0, 79)])) == {}

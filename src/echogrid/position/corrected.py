@@ -27,6 +27,10 @@ LEAST_M = 0.5
 UNHEARD_M = 3.0
 """A way without an echo that is longer is told."""
 
+BESIDE_M, BESIDE_NODES, TIED_NODES, LOOSE_M = 2.0, 20, 8, 3.0
+"""Parts of a drive that are so near, though so many nodes apart, see the same walls: if no loop begins or ends within
+so many nodes of one for longer than the last, it is told."""
+
 LONE_M = 30.0
 """In a drive that is longer it is told if no place was seen twice."""
 
@@ -100,7 +104,7 @@ def slam(log: Iterable[Frame], robot: Robot, progress: Callable[[int, int], obje
         notes[why] = 0
     else:
         found = found_by([replace(f, pose=p) for f, p in zip(frames, told.poses, strict=True)], robot, progress)
-        notes |= found.notes | _unheard(stamps, found.poses, ranges) | _alone(found)
+        notes |= found.notes | _unheard(stamps, found.poses, ranges) | _alone(found) | _loose(found)
     poses = told.poses if found is None else found.poses
     posed = Log(name, robot.sonars, log.robot if isinstance(log, Log) else None, _Posed(frames, poses), notes)
     return Corrected(replace(posed, judges=True), stamps, poses, odometry, found)
@@ -153,3 +157,26 @@ def _alone(found: Found) -> dict[str, int]:
         return {}
     only = f"the map is only as good as odometry and scans are from one to the next over {length:.0f} m"
     return {f"no place was seen twice: {only} (a drive that comes back to where it was tells more)": 0}
+
+
+def _loose(found: Found) -> dict[str, int]:
+    """A note on parts of the drive that lie beside others and that no loop ties to them."""
+    nodes = found.poses[found.nodes]
+    number = np.arange(len(nodes))
+    tied = np.zeros(len(nodes), dtype=bool)
+    for node in np.unique(np.array(found.loops, dtype=int)):
+        tied[max(node - TIED_NODES, 0) : node + TIED_NODES + 1] = True
+    beside = np.zeros(len(nodes), dtype=bool)
+    for node in np.flatnonzero(~tied):
+        near = np.hypot(*(nodes[:, :2] - nodes[node, :2]).T) < BESIDE_M
+        beside[node] = np.any(near & (np.abs(number - node) >= BESIDE_NODES))
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], beside, [0]])))
+    step = np.append(np.abs(motion.lengths(motion.steps(nodes))[0]), 0.0)
+    runs = [(float(step[a:b].sum()), a) for a, b in zip(ends[::2], ends[1::2], strict=True)]
+    runs = [run for run in runs if run[0] > LOOSE_M]
+    if not runs or not found.loops:
+        return {}
+    length, node = max(runs)
+    x, y, _ = nodes[node].tolist()
+    where = f"{sum(run[0] for run in runs):.1f} m of the drive lie beside another part of it and no loop ties them"
+    return {f"{where}: walls may be double there (longest, {length:.1f} m, from x {x:.1f}, y {y:.1f} m)": 0}
