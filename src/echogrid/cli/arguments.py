@@ -39,7 +39,7 @@ class Ros:
     base_frame: Annotated[str | None, arg(metavar="FRAME")] = None
     """Frame of the robot. Default: the one that carries the sonars and has a pose."""
     fixed_frame: Annotated[str | None, arg(metavar="FRAME")] = None
-    """Frame to map in. Default: map, else odom, or what stands highest; with --slam odom first."""
+    """Frame to map in. Default: map, else odom, or what stands highest."""
 
     def choice(self, odometry: bool = False) -> Choice:
         """What to listen to; ``odometry``: whether the poses are to be odometry."""
