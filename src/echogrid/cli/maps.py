@@ -59,8 +59,8 @@ class Map:
     ros: Annotated[Ros, OmitArgPrefixes] = field(default_factory=Ros)
     slam: bool = False
     """The poses of the log are odometry that drifts: find the true ones first, from ranges and odometry. Also writes
-    trajectory.tum (as found), odometry.tum (as the log says) and graph.g2o. For 4 rangers or more. Of bags it takes the poses in odom, where there is
-    such a frame."""
+    trajectory.tum (as found), odometry.tum (as the log says) and graph.g2o. For 4 rangers or more. Of bags it takes
+    the poses in odom, where there is such a frame."""
     out: Path = Path("out")
     """Folder for the map."""
     resolution: Annotated[float | None, arg(metavar="M")] = None
