@@ -1,0 +1,331 @@
+"""Where a robot is in a map that is known, from its ranges and odometry that drifts: a particle filter."""
+
+from collections import deque
+from collections.abc import Iterable, Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+from echogrid.doubts import FASTEST_M_S, FASTEST_RAD_S, JUMP_M, JUMP_RAD
+from echogrid.errors import UsageError
+from echogrid.frame import Frame
+from echogrid.geometry import compose, inverse
+from echogrid.grid import Grid
+from echogrid.mapping.intake import check_robot, cleaned, fitting
+from echogrid.mapping.registry import DEFAULT, sensor_model
+from echogrid.position.beams import FREE, OCCUPIED, Beams
+from echogrid.position.motion import Drift, lengths
+from echogrid.position.particles import Particles, Place
+from echogrid.position.sights import Ground, sight
+from echogrid.robot import Robot
+from echogrid.yaml_keys import shown
+
+_PIECE_M, _PIECE_RAD = 0.4, 0.8
+"""What is seen is weighed each time the robot has driven or turned so far."""
+
+_SCANS, _MOST_FRAMES = 4, 40
+"""Scans of a piece that are compared reading by reading, and those that are seen together."""
+
+_SHARP, _SHARP_BEAMS = 60.0, 0.2
+"""What the agreement of a sight counts as a log-likelihood, and what that of a reading does: cells and readings are
+far from independent of each other. Both measured on simulated drives in flats, rings and halls."""
+
+_TEMPER = 0.14
+"""What evidence counts while several places are possible: the wrong one must not win by a lucky piece."""
+
+_POINTS, _POINTS_MANY, _MANY = 500, 300, 5000
+"""Points of a sight; of so many particles fewer will do."""
+
+_LEAST, _MOST, _PER_M2 = 1000, 100_000, 400
+"""Particles: at least, at most, and to begin with where the place is not known."""
+
+_START_M, _START_RAD = 0.15, np.deg2rad(7.0)
+"""Standard deviation of a start that is given."""
+
+_HEAP_M, _HEAP_RAD = 0.5, np.deg2rad(25.0)
+"""Particles within this of their middle are at one place."""
+
+_SURE, _FOR, _LEAST_WAY_M = 0.95, 3, 2.0
+"""The place is sure when this share of all weight has been at one for so many pieces, and so long a way."""
+
+_CHANCE, _AT_RANDOM, _LOST = 0.75, 300, 6
+"""A place is wrong where for so many pieces more than not it agreed worse than this share of places at random."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Where the robot is."""
+
+    stamp: float
+    """s"""
+    pose: Float[ndarray, "3"]
+    """In the map, m, m, rad; the likeliest place where several are possible."""
+    covariance: Float[ndarray, "3 3"]
+    """Of the particles there."""
+    share: float
+    """Of all weight that is there."""
+    sure: bool
+    """Whether no other place remains."""
+
+
+class Event(NamedTuple):
+    """Something that happened to a localiser."""
+
+    what: Literal["sure", "lost", "jump"]
+    """One place remains; it does not explain what is seen, and all are possible again; the odometry jumps, which is
+    taken for a start anew where the robot is."""
+    stamp: float
+    """s"""
+    driven_m: float
+    """Since the first frame."""
+    frame: int
+    """Number of the frame, from 0."""
+
+
+class Localiser:
+    """Finds a robot in a map, scan by scan.
+
+    localiser = Localiser(read_map("map.yaml"), robot, start=(1.0, 2.0, 0.5))
+    for frame in log:
+        estimate = localiser.add(frame)
+    """
+
+    def __init__(
+        self, grid: Grid, robot: Robot, start: Sequence[float] | None = None, seed: int = 0
+    ) -> None:
+        """A robot that has not moved.
+
+        Args:
+            grid: the map.
+            robot: the robot.
+            start: about where it stands in the map, m, m, rad; None: anywhere.
+            seed: of the particles; the same one gives the same poses.
+
+        Raises:
+            UsageError: no such robot, a map without floor, or a start that is not on its floor.
+        """
+        check_robot(robot)
+        self._robot, self._model, self._drift = robot, sensor_model(DEFAULT), Drift()
+        p = grid.probability()
+        floor = np.argwhere(grid.observed & (p < FREE))
+        if not len(floor) or not (grid.observed & (p > OCCUPIED)).any():
+            raise UsageError(f"map: found no {'wall' if len(floor) else 'free floor'}, expected both")
+        self._floor, self._floor_m2 = grid.centre_of(floor), len(floor) * grid.resolution**2
+        self._cell = grid.resolution
+        self._ground, self._beams = Ground(grid), Beams(grid, robot)
+        self._seed, self._rng = seed, np.random.default_rng(seed)
+        self.events: list[Event] = []
+        """What happened so far."""
+        self._frames: deque[Frame] = deque(maxlen=_MOST_FRAMES * 16)
+        self._last: Frame | None = None
+        self._count, self._driven = 0, 0.0
+        self._begin_piece()
+        if start is None:
+            self._spread()
+        else:
+            self._gather(_on_floor(grid, start))
+
+    def _gather(self, start: Float[ndarray, "3"]) -> None:
+        """Be near a pose."""
+        off = self._rng.standard_normal((2 * _LEAST, 3)) * (_START_M, _START_M, _START_RAD)
+        self._particles = self._guesses(start + off)
+        self._sure, self._certain, self._bad = True, _FOR, 0
+        self._place = Place(start, np.diag([_START_M, _START_M, _START_RAD]) ** 2, 1.0)
+
+    def _spread(self) -> None:
+        """Be anywhere on the floor."""
+        self._particles = self._guesses(self._anywhere(int(np.clip(_PER_M2 * self._floor_m2, 2 * _LEAST, _MOST))))
+        self._sure, self._certain, self._bad, self._since = False, 0, 0, self._driven
+        self._place = self._particles.place((_HEAP_M, _HEAP_RAD))
+
+    def _guesses(self, poses: Float[ndarray, "n 3"]) -> Particles:
+        return Particles(poses, self._rng.normal(0, self._drift.bias, len(poses)))
+
+    def _anywhere(self, count: int) -> Float[ndarray, "n 3"]:
+        at = self._floor[self._rng.integers(len(self._floor), size=count)]
+        at = at + self._rng.uniform(-0.5, 0.5, at.shape) * self._cell
+        return np.column_stack([at, self._rng.uniform(-np.pi, np.pi, count)])
+
+    def _begin_piece(self) -> None:
+        self._net, self._way, self._turn = np.zeros(3), 0.0, 0.0
+
+    def at(self, pose: Float[ndarray, "3"]) -> "Localiser":
+        """Another localiser in the same map, whose robot stands at a pose (m, m, rad)."""
+        other = copy(self)
+        other._rng = np.random.default_rng(self._seed)
+        other.events, other._frames, other._last = [], deque(maxlen=self._frames.maxlen), None
+        other._count, other._driven = 0, 0.0
+        other._begin_piece()
+        other._gather(pose)
+        return other
+
+    @property
+    def sure(self) -> bool:
+        """Whether one place remains."""
+        return self._sure
+
+    @property
+    def particles(self) -> Particles:
+        """The guesses as they were after the last piece."""
+        return self._particles
+
+    def add(self, frame: Frame) -> Estimate:
+        """Go on to a frame, whose pose is by odometry.
+
+        Raises:
+            UsageError: it cannot be one of the robot's; nothing is changed.
+        """
+        (frame,) = cleaned(list(fitting([frame], self._robot)), self._robot)
+        step = self._step_to(frame)
+        way, turn = lengths(step)
+        self._net = compose(self._net, step)
+        self._way, self._turn, self._driven = self._way + way, self._turn + turn, self._driven + float(abs(way))
+        self._frames.append(frame)
+        self._last = frame
+        if abs(self._way) > _PIECE_M or self._turn > _PIECE_RAD:
+            self._look()
+            self._begin_piece()
+        self._count += 1
+        place = self._place
+        return Estimate(frame.stamp, compose(place.pose, self._net), place.covariance, place.share, self._sure)
+
+    def _step_to(self, frame: Frame) -> Float[ndarray, "3"]:
+        """The way from the last frame by odometry; none where that jumps."""
+        if self._last is None:
+            return np.zeros(3)
+        step = compose(inverse(self._last.pose), frame.pose)
+        took = abs(frame.stamp - self._last.stamp)
+        if np.hypot(*step[:2]) > max(JUMP_M, FASTEST_M_S * took) or abs(step[2]) > max(JUMP_RAD, FASTEST_RAD_S * took):
+            self._note("jump", frame)
+            self._frames.clear()
+            return np.zeros(3)
+        return step
+
+    def _note(self, what: Literal["sure", "lost", "jump"], frame: Frame) -> None:
+        self.events.append(Event(what, frame.stamp, self._driven, self._count))
+
+    def _look(self) -> None:
+        """Move the particles along the piece, and weigh them by what it saw."""
+        particles, rng = self._particles, self._rng
+        particles.propagate(self._net, self._way, self._turn, self._drift, rng)
+        poses = np.concatenate([particles.poses, self._anywhere(_AT_RANDOM)])
+        evidence = self._evidence(poses)
+        here, elsewhere = evidence[: len(particles)], evidence[len(particles) :]
+        particles.reweight(here * (1.0 if self._sure else _TEMPER))
+        agrees = float(particles.weights @ here) > float(np.quantile(elsewhere, _CHANCE))
+        if particles.effective() < len(particles) / 2:
+            particles.resample(_LEAST, _MOST, rng)
+        self._place = particles.place((_HEAP_M, _HEAP_RAD))
+        self._frames.clear()
+        if np.ptp(evidence) > 0:  # else it saw nothing
+            self._judge(agrees)
+
+    def _evidence(self, poses: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
+        """Log-likelihood of what the piece saw from poses at its end."""
+        frames = list(self._frames)
+        seen = _evenly(frames, _MOST_FRAMES)
+        points = _POINTS if len(poses) < _MANY else _POINTS_MANY
+        evidence = _SHARP * self._ground.agreement(sight(seen, self._robot, self._model, points, self._rng), poses)
+        end = inverse(frames[-1].pose)
+        for frame in _evenly(frames, _SCANS):
+            mounts = self._robot.mounts if frame.mounts is None else frame.mounts
+            mounts = compose(compose(end, frame.pose), mounts)
+            evidence += _SHARP_BEAMS * self._beams.log_likelihood(poses, frame.ranges, mounts)
+        return evidence
+
+    def _judge(self, agrees: bool) -> None:
+        """Whether one place remains, and explains what is seen."""
+        frame = self._last
+        assert frame is not None
+        alone = self._place.share >= _SURE
+        self._certain = self._certain + 1 if alone and agrees else 0
+        self._bad = max(0, self._bad - 1) if agrees else self._bad + alone
+        if self._bad >= _LOST:
+            self._note("lost", frame)
+            self._spread()
+        elif not self._sure and self._certain >= _FOR and self._driven - self._since >= _LEAST_WAY_M:
+            self._sure = True
+            self._note("sure", frame)
+
+
+def _evenly(frames: list[Frame], most: int) -> list[Frame]:
+    """At most so many frames, spread evenly, the last among them."""
+    if len(frames) <= most:
+        return frames
+    return [frames[i] for i in np.linspace(len(frames) - 1, 0, most, endpoint=False).astype(int)[::-1]]
+
+
+def _on_floor(grid: Grid, start: Sequence[float]) -> Float[ndarray, "3"]:
+    """A start (m, m, rad), once it is known to lie on the map's floor."""
+    pose = np.asarray(start, dtype=float)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise UsageError(f"start: found {shown(start)}, expected x, y, heading")
+    where = f"start: found {pose[0]:g}, {pose[1]:g} m"
+    row, col = grid.index_of(pose[:2])
+    if not (0 <= row < grid.shape[0] and 0 <= col < grid.shape[1]):
+        low = np.array(grid.origin)
+        high = low + np.array(grid.shape[::-1]) * grid.resolution
+        box = f"x {low[0]:g} to {high[0]:g}, y {low[1]:g} to {high[1]:g} m"
+        raise UsageError(f"{where}, outside of the map, expected a place in it: {box}")
+    if not grid.observed[row, col]:
+        raise UsageError(f"{where}, of which the map knows nothing, expected free floor")
+    if grid.probability_at(pose[:2]) > OCCUPIED:
+        raise UsageError(f"{where}, in a wall, expected free floor")
+    return pose
+
+
+@dataclass(frozen=True)
+class Localised:
+    """A drive in a map."""
+
+    stamps: Float[ndarray, "frames"]
+    """s"""
+    poses: Float[ndarray, "frames 3"]
+    """In the map, m, m, rad."""
+    sure: Bool[ndarray, "frames"]
+    """Whether each is of the one place that remained; else it is the likeliest."""
+    events: list[Event]
+
+
+def localise(
+    frames: Iterable[Frame], grid: Grid, robot: Robot, start: Sequence[float] | None = None, seed: int = 0
+) -> Localised:
+    """Where a robot was in a map, frame by frame; once a place is sure, so is the way that led there.
+
+    Args:
+        frames: of a log, with poses by odometry.
+        grid: the map.
+        robot: the robot.
+        start: about where it began in the map, m, m, rad; None: anywhere.
+        seed: of the particles.
+
+    Raises:
+        UsageError: as of ``Localiser`` and its ``add``.
+    """
+    localiser, kept, found = Localiser(grid, robot, start, seed), [], []
+    for frame in frames:
+        kept.append(frame)
+        found.append(localiser.add(frame))
+    poses = np.array([each.pose for each in found]).reshape(-1, 3)
+    sure = np.array([each.sure for each in found], dtype=bool)
+    begin = 0
+    for event in localiser.events:
+        if event.what == "sure":
+            _walk_back(localiser, kept, slice(begin, event.frame + 1), poses, sure)
+        elif event.what == "lost":
+            begin = event.frame + 1
+    return Localised(np.array([frame.stamp for frame in kept]), poses, sure, localiser.events)
+
+
+def _walk_back(localiser: Localiser, frames: list[Frame], part: slice, poses: ndarray, sure: ndarray) -> None:
+    """Find the poses of a part of a drive from its last, which is sure; as far as they are explained."""
+    back = localiser.at(poses[part.stop - 1])
+    for k in reversed(range(part.start, part.stop)):
+        estimate = back.add(frames[k])
+        if not estimate.sure:
+            break
+        poses[k], sure[k] = estimate.pose, True
