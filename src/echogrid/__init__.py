@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from echogrid.metrics import score
     from echogrid.output.map_file import read_map, read_truth, write_map
     from echogrid.position.corrected import slam
+    from echogrid.position.localise import Localiser, localise
     from echogrid.robot import Robot
     from echogrid.simulation.world import World
 
@@ -32,12 +33,14 @@ _HOME = {
     "EchogridError": "errors",
     "Frame": "frame",
     "Grid": "grid",
+    "Localiser": "position.localise",
     "Log": "frame",
     "Mapper": "mapping.mapper",
     "Robot": "robot",
     "World": "simulation.world",
     "build_map": "mapping.build",
     "load_log": "logs.formats",
+    "localise": "position.localise",
     "read_map": "output.map_file",
     "read_truth": "output.map_file",
     "score": "metrics",
@@ -51,12 +54,14 @@ __all__ = [
     "EchogridError",
     "Frame",
     "Grid",
+    "Localiser",
     "Log",
     "Mapper",
     "Robot",
     "World",
     "build_map",
     "load_log",
+    "localise",
     "read_map",
     "read_truth",
     "score",

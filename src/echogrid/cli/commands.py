@@ -10,13 +10,15 @@ from echogrid.cli.export import Export
 from echogrid.cli.helping import examples, folded, worded
 from echogrid.cli.info import Info
 from echogrid.cli.live import Live
+from echogrid.cli.localise import Localise
 from echogrid.cli.maps import Map, Score
 from echogrid.cli.simulation import Scan, Simulate, Train
 
-Command = Map | Live | Simulate | Scan | Train | Export | Score | Info
+Command = Map | Localise | Live | Simulate | Scan | Train | Export | Score | Info
 
 COMMANDS: dict[str, Callable[..., Command]] = {
     "map": Map,
+    "localise": Localise,
     "live": Live,
     "simulate": Simulate,
     "scan": Scan,

@@ -25,6 +25,10 @@ echogrid map                                       # the sample that ships with 
 echogrid map drive.bag --view                      # a bag of ROS says by itself where the sonars sit
 echogrid map drive.csv --robot my-robot.yaml --out house
 """,
+    "localise": """
+echogrid localise drive.bag --map plan.yaml --start 1.5,2,90
+echogrid localise drive.csv --robot my-robot.yaml --map house --anywhere
+""",
     "info": """
 echogrid info drive.bag
 echogrid info drive.csv --robot p3dx

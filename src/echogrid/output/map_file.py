@@ -76,7 +76,7 @@ def write_map(
     log_odds = np.clip(grid.log_odds, logit(grid.p_min), logit(1 - grid.p_min)).astype(np.float32)
     # Renamed from the last to the first when all are written; run.yaml, which speaks for the rest, is last.
     writers: dict[str, Callable[[Path], object]] = {
-        "run.yaml": lambda new: new.write_text(_run_yaml(settings), encoding="utf-8"),
+        "run.yaml": lambda new: new.write_text(run_yaml(settings), encoding="utf-8"),
         "map.yaml": lambda new: new.write_text(map_yaml(grid, mode), encoding="utf-8"),
         "map.pgm": lambda new: new.write_bytes(pgm(PIXELS[mode](grid))),
         "map.npz": lambda new: _save_npz(new, log_odds=log_odds, observed=grid.observed, **_place(grid)),
@@ -216,7 +216,8 @@ def _save_npz(path: Path, **arrays: ndarray) -> None:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
-def _run_yaml(settings: Mapping[str, Any]) -> str:
+def run_yaml(settings: Mapping[str, Any]) -> str:
+    """The text of run.yaml: ``echogrid_version``, then the settings."""
     try:
         version = metadata.version("echogrid")
     except metadata.PackageNotFoundError:  # run from a source tree that was never installed

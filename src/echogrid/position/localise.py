@@ -34,8 +34,11 @@ _SHARP, _SHARP_BEAMS = 60.0, 0.2
 """What the agreement of a sight counts as a log-likelihood, and what that of a reading does: cells and readings are
 far from independent of each other. Both measured on simulated drives in flats, rings and halls."""
 
-_TEMPER = 0.14
+_TEMPER = 0.1
 """What evidence counts while several places are possible: the wrong one must not win by a lucky piece."""
+
+_THROUGH = 4.0
+"""What a way through a wall counts against it, as a log-likelihood: maps have walls where there are doors now."""
 
 _POINTS, _POINTS_MANY, _MANY = 500, 300, 5000
 """Points of a sight; of so many particles fewer will do."""
@@ -49,7 +52,7 @@ _START_M, _START_RAD = 0.15, np.deg2rad(7.0)
 _HEAP_M, _HEAP_RAD = 0.5, np.deg2rad(25.0)
 """Particles within this of their middle are at one place."""
 
-_SURE, _FOR, _LEAST_WAY_M = 0.95, 3, 2.0
+_SURE, _FOR, _LEAST_WAY_M = 0.98, 4, 2.0
 """The place is sure when this share of all weight has been at one for so many pieces, and so long a way."""
 
 _CHANCE, _AT_RANDOM, _LOST = 0.75, 300, 6
@@ -94,9 +97,7 @@ class Localiser:
         estimate = localiser.add(frame)
     """
 
-    def __init__(
-        self, grid: Grid, robot: Robot, start: Sequence[float] | None = None, seed: int = 0
-    ) -> None:
+    def __init__(self, grid: Grid, robot: Robot, start: Sequence[float] | None = None, seed: int = 0) -> None:
         """A robot that has not moved.
 
         Args:
@@ -116,7 +117,7 @@ class Localiser:
             raise UsageError(f"map: found no {'wall' if len(floor) else 'free floor'}, expected both")
         self._floor, self._floor_m2 = grid.centre_of(floor), len(floor) * grid.resolution**2
         self._cell = grid.resolution
-        self._ground, self._beams = Ground(grid), Beams(grid, robot)
+        self._ground, self._beams, self._walls = Ground(grid), Beams(grid, robot), _Walls(grid)
         self._seed, self._rng = seed, np.random.default_rng(seed)
         self.events: list[Event] = []
         """What happened so far."""
@@ -199,7 +200,9 @@ class Localiser:
             return np.zeros(3)
         step = compose(inverse(self._last.pose), frame.pose)
         took = abs(frame.stamp - self._last.stamp)
-        if np.hypot(*step[:2]) > max(JUMP_M, FASTEST_M_S * took) or abs(step[2]) > max(JUMP_RAD, FASTEST_RAD_S * took):
+        if np.hypot(*step[:2]) > max(JUMP_M, FASTEST_M_S * took) or abs(step[2]) > max(
+            JUMP_RAD, FASTEST_RAD_S * took
+        ):
             self._note("jump", frame)
             self._frames.clear()
             return np.zeros(3)
@@ -211,11 +214,13 @@ class Localiser:
     def _look(self) -> None:
         """Move the particles along the piece, and weigh them by what it saw."""
         particles, rng = self._particles, self._rng
+        before = particles.poses
         particles.propagate(self._net, self._way, self._turn, self._drift, rng)
+        through = self._walls.crossed(before[:, :2], particles.poses[:, :2])
         poses = np.concatenate([particles.poses, self._anywhere(_AT_RANDOM)])
         evidence = self._evidence(poses)
         here, elsewhere = evidence[: len(particles)], evidence[len(particles) :]
-        particles.reweight(here * (1.0 if self._sure else _TEMPER))
+        particles.reweight(here * (1.0 if self._sure else _TEMPER) - _THROUGH * through)
         agrees = float(particles.weights @ here) > float(np.quantile(elsewhere, _CHANCE))
         if particles.effective() < len(particles) / 2:
             particles.resample(_LEAST, _MOST, rng)
@@ -249,7 +254,27 @@ class Localiser:
             self._spread()
         elif not self._sure and self._certain >= _FOR and self._driven - self._since >= _LEAST_WAY_M:
             self._sure = True
+            self._particles.keep(self._place, (_HEAP_M, _HEAP_RAD))
             self._note("sure", frame)
+
+
+class _Walls:
+    """Cells through which no robot drives."""
+
+    def __init__(self, grid: Grid) -> None:
+        self._taken = np.pad(grid.observed & (grid.probability() > OCCUPIED), 1)
+        self._origin, self._cell = np.array(grid.origin), grid.resolution
+
+    def crossed(self, begin: Float[ndarray, "n 2"], end: Float[ndarray, "n 2"]) -> Bool[ndarray, "n"]:
+        """Whether a straight way between two places (m) leads through one, but for where it begins."""
+        begin, end = ((place - self._origin) / self._cell + 1 for place in (begin, end))
+        count = int(np.ceil(_PIECE_M / self._cell))
+        crossed = np.zeros(len(begin), dtype=bool)
+        most = np.array(self._taken.shape[::-1]) - 1
+        for part in np.linspace(1, 0, count, endpoint=False):
+            cols, rows = np.clip(begin + part * (end - begin), 0, most).astype(np.int32).T
+            crossed |= self._taken[rows, cols]
+        return crossed
 
 
 def _evenly(frames: list[Frame], most: int) -> list[Frame]:

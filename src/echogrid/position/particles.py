@@ -3,11 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from echogrid.geometry import compose, wrap
-from echogrid.position.motion import Drift, lengths
+from echogrid.position.motion import Drift
 
 BIN_M, BIN_RAD = 0.25, np.deg2rad(15.0)
 """Sides of the bins whose number says how many particles are wanted."""
@@ -43,7 +43,9 @@ class Particles:
     def __len__(self) -> int:
         return len(self.poses)
 
-    def propagate(self, step: Float[ndarray, "3"], way: float, turn: float, drift: Drift, rng) -> None:
+    def propagate(
+        self, step: Float[ndarray, "3"], way: float, turn: float, drift: Drift, rng: np.random.Generator
+    ) -> None:
         """Move on as the odometry says, and as far off it as it may be.
 
         Args:
@@ -82,7 +84,7 @@ class Particles:
         """How many particles of the same weight would say as much."""
         return float(1 / np.sum(self.weights**2))
 
-    def resample(self, least: int, most: int, rng) -> None:
+    def resample(self, least: int, most: int, rng: np.random.Generator) -> None:
         """Draw particles anew by their weights, as many as the number of places they are at asks for."""
         n = self.wanted(least, most)
         at = np.minimum(np.searchsorted(np.cumsum(self.weights), (rng.random() + np.arange(n)) / n), len(self) - 1)
@@ -100,24 +102,35 @@ class Particles:
         n = k / (2 * _EPSILON) * (1 - part + np.sqrt(part) * _QUANTILE) ** 3
         return int(np.clip(n, least, most))
 
+    def keep(self, place: Place, within: tuple[float, float]) -> None:
+        """Leave out all but those within so far (m, rad) of a place, where there are any."""
+        near = _near(self.poses, place.pose, within)
+        self.poses, self.bias, weights = self.poses[near], self.bias[near], self.weights[near]
+        self.weights = weights / weights.sum()
+
     def place(self, within: tuple[float, float]) -> Place:
         """The heaviest heap: what lies within so far (m, rad) of its middle."""
         w, poses = self.weights, self.poses
         bins = np.floor(poses / (2 * BIN_M, 2 * BIN_M, 2 * BIN_RAD)).astype(np.int64) @ np.array([1 << 32, 1 << 8, 1])
         _, which = np.unique(bins, return_inverse=True)
         heaviest = which == np.argmax(np.bincount(which, weights=w))
-        middle = _mean(poses[heaviest], w[heaviest])
+        middle, near = _mean(poses[heaviest], w[heaviest]), heaviest
         for _ in range(3):
-            off = poses - middle
-            off[:, 2] = wrap(off[:, 2])
-            near = (np.hypot(off[:, 0], off[:, 1]) < within[0]) & (np.abs(off[:, 2]) < within[1])
-            if not near.any():
-                break
+            near = _near(poses, middle, within)
+            if not near.any():  # two heaps whose middle is at neither
+                near = heaviest
             middle = _mean(poses[near], w[near])
         off = poses[near] - middle
         off[:, 2] = wrap(off[:, 2])
         share = float(w[near].sum())
         return Place(middle, np.einsum("n,ni,nj->ij", w[near] / share, off, off), share)
+
+
+def _near(
+    poses: Float[ndarray, "n 3"], middle: Float[ndarray, "3"], within: tuple[float, float]
+) -> Bool[ndarray, "n"]:
+    off = poses - middle
+    return (np.hypot(off[:, 0], off[:, 1]) < within[0]) & (np.abs(wrap(off[:, 2])) < within[1])
 
 
 def _mean(poses: Float[ndarray, "n 3"], weights: Float[ndarray, "n"]) -> Float[ndarray, "3"]:

@@ -17,8 +17,8 @@ from echogrid.models.model import Model
 from echogrid.robot import Robot
 
 _LEAST, _FEWEST, _WHOLE = 0.3, 20, 200
-"""Cells of which less is known are no points (of 2 p - 1); fewer points are none; a sight with so many of walls counts
-whole, one with fewer in proportion."""
+"""Cells of which less is known are no points (of 2 p - 1); fewer points are none; a sight with so many of walls
+counts whole, one with fewer in proportion."""
 
 _SUREST = 0.95
 """No cell of a map counts as surer (2 p - 1), whatever its file says: the world changes."""
@@ -75,8 +75,10 @@ class Ground:
         )
 
     def agreement(self, seen: Sight, poses: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
-        """Mean of log(1 + a b) over the points, as of ``PoseScorer``, times their strength; what the map does not
-        know counts 0."""
+        """Mean of log(1 + a b) over the points, as of ``PoseScorer``, times their strength.
+
+        What the map does not know counts 0.
+        """
         if not len(seen.a):
             return np.zeros(len(poses))
         return self._scorer.score(seen.points, seen.a, poses).astype(float) * (seen.strength / len(seen.a))
