@@ -51,10 +51,12 @@ class Beams:
         while floor.sum() / times**2 * _HEADINGS > _MOST:
             times *= 2
         self._cell, self._origin = times * grid.resolution, np.array(grid.origin)
-        middles = floor[times // 2 :: times, times // 2 :: times]
+        picked = slice(times // 2, None, times)
+        middles, walls = floor[picked, picked], (grid.observed & (p > OCCUPIED))[picked, picked]
         cells = np.argwhere(middles)
         self._row_of = np.full(np.array(middles.shape) + 2, len(cells), dtype=np.int32)  # with a rim
         self._row_of[1:-1, 1:-1][middles] = np.arange(len(cells))
+        self._row_of[1:-1, 1:-1][walls] = len(cells) + 1
         half = max(1, round(robot.beam_width_rad / 2 * _HEADINGS / (2 * np.pi)))
         middle = (cells[:, ::-1] * times + times // 2 + 0.5) * grid.resolution + self._origin
         self._table = _nearest(_rays(grid, middle, float(self._reach.max())), half)
@@ -114,15 +116,15 @@ def _rays(grid: Grid, start: Float[ndarray, "cells 2"], reach: float) -> Float32
 
 
 def _nearest(ways: Float32[ndarray, "cells headings"], half: int) -> UInt8[ndarray, "more headings"]:
-    """The table: the nearest of the ways within half a beam; one row more, of cells that are no floor."""
-    table = np.full((len(ways) + 1, _HEADINGS), _UNKNOWN, dtype=np.uint8)
+    """The table: the nearest of the ways within half a beam; one row more of unknown ground, one of walls."""
+    table = np.full((len(ways) + 2, _HEADINGS), _UNKNOWN, dtype=np.uint8)
     steps = np.where(np.isinf(ways), _NOTHING, np.rint(ways / _STEP_M))
     steps = np.where(np.isnan(ways), _UNKNOWN, steps).astype(np.uint8)
     nearest = steps.copy()
     for k in range(1, half + 1):
         for turned in (np.roll(steps, k, axis=1), np.roll(steps, -k, axis=1)):
             np.minimum(nearest, turned, out=nearest)
-    table[:-1] = nearest
+    table[:-2], table[-1] = nearest, 0
     return table
 
 

@@ -34,7 +34,7 @@ _SHARP, _SHARP_BEAMS = 60.0, 0.2
 """What the agreement of a sight counts as a log-likelihood, and what that of a reading does: cells and readings are
 far from independent of each other. Both measured on simulated drives in flats, rings and halls."""
 
-_TEMPER = 0.1
+_TEMPER = 0.05
 """What evidence counts while several places are possible: the wrong one must not win by a lucky piece."""
 
 _THROUGH = 4.0
@@ -97,7 +97,9 @@ class Localiser:
         estimate = localiser.add(frame)
     """
 
-    def __init__(self, grid: Grid, robot: Robot, start: Sequence[float] | None = None, seed: int = 0) -> None:
+    def __init__(
+        self, grid: Grid, robot: Robot, start: Float[ndarray, "3"] | Sequence[float] | None = None, seed: int = 0
+    ) -> None:
         """A robot that has not moved.
 
         Args:
@@ -182,9 +184,9 @@ class Localiser:
         """
         (frame,) = cleaned(list(fitting([frame], self._robot)), self._robot)
         step = self._step_to(frame)
-        way, turn = lengths(step)
+        way, turn = (float(each[0]) for each in lengths(step[None]))
         self._net = compose(self._net, step)
-        self._way, self._turn, self._driven = self._way + way, self._turn + turn, self._driven + float(abs(way))
+        self._way, self._turn, self._driven = self._way + way, self._turn + turn, self._driven + abs(way)
         self._frames.append(frame)
         self._last = frame
         if abs(self._way) > _PIECE_M or self._turn > _PIECE_RAD:
@@ -284,7 +286,7 @@ def _evenly(frames: list[Frame], most: int) -> list[Frame]:
     return [frames[i] for i in np.linspace(len(frames) - 1, 0, most, endpoint=False).astype(int)[::-1]]
 
 
-def _on_floor(grid: Grid, start: Sequence[float]) -> Float[ndarray, "3"]:
+def _on_floor(grid: Grid, start: Float[ndarray, "_"] | Sequence[float]) -> Float[ndarray, "3"]:
     """A start (m, m, rad), once it is known to lie on the map's floor."""
     pose = np.asarray(start, dtype=float)
     if pose.shape != (3,) or not np.isfinite(pose).all():
@@ -317,7 +319,11 @@ class Localised:
 
 
 def localise(
-    frames: Iterable[Frame], grid: Grid, robot: Robot, start: Sequence[float] | None = None, seed: int = 0
+    frames: Iterable[Frame],
+    grid: Grid,
+    robot: Robot,
+    start: Float[ndarray, "3"] | Sequence[float] | None = None,
+    seed: int = 0,
 ) -> Localised:
     """Where a robot was in a map, frame by frame; once a place is sure, so is the way that led there.
 
