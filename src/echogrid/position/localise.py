@@ -55,8 +55,9 @@ _HEAP_M, _HEAP_RAD = 0.5, np.deg2rad(25.0)
 _SURE, _FOR, _LEAST_WAY_M = 0.98, 4, 2.0
 """The place is sure when this share of all weight has been at one for so many pieces, and so long a way."""
 
-_CHANCE, _AT_RANDOM, _LOST = 0.75, 300, 6
-"""A place is wrong where for so many pieces more than not it agreed worse than this share of places at random."""
+_CHANCE, _AT_RANDOM, _LOST = 0.85, 300, 6
+"""A place is wrong where for so many pieces more than not it agreed worse than this share of places at random, or led
+through a wall."""
 
 
 @dataclass(frozen=True)
@@ -219,11 +220,13 @@ class Localiser:
         before = particles.poses
         particles.propagate(self._net, self._way, self._turn, self._drift, rng)
         through = self._walls.crossed(before[:, :2], particles.poses[:, :2])
+        passed = particles.weights @ through
         poses = np.concatenate([particles.poses, self._anywhere(_AT_RANDOM)])
         evidence = self._evidence(poses)
         here, elsewhere = evidence[: len(particles)], evidence[len(particles) :]
         particles.reweight(here * (1.0 if self._sure else _TEMPER) - _THROUGH * through)
-        agrees = float(particles.weights @ here) > float(np.quantile(elsewhere, _CHANCE))
+        chance = float(np.quantile(elsewhere, _CHANCE))
+        agrees = bool(passed < 0.5 and particles.weights @ here > chance)
         if particles.effective() < len(particles) / 2:
             particles.resample(_LEAST, _MOST, rng)
         self._place = particles.place((_HEAP_M, _HEAP_RAD))

@@ -1,0 +1,84 @@
+"""``echogrid localise``: a log and a map in, a trajectory out."""
+
+import numpy as np
+import pytest
+import yaml
+
+from commands import SAMPLE, assert_refused, everything, put
+from echogrid import load_log, read_map
+from echogrid.output.trajectory import read_tum
+
+LOG = "t,x,y,theta,r0,r1\n0,0,0,0,1.0,1.0\n1,0.1,0,0,0.9,1.0\n"
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory):
+    """The sample's own map."""
+    from commands import call
+
+    folder = tmp_path_factory.mktemp("house")
+    assert call("map", "--out", folder) == 0
+    return folder
+
+
+def test_the_sample_is_found_in_its_own_map(run, house, tmp_path):
+    poses = np.array([frame.pose for frame in load_log(str(SAMPLE))])
+    x, y, theta = poses[0]
+    start = f"--start={x + 0.1:.2f},{y - 0.1:.2f},{np.rad2deg(theta) + 4:.1f}"
+    before = everything(house)
+    out = tmp_path / "found"
+    status, said, noted = run("localise", SAMPLE, "--robot", "b21", "--map", house, start, "--out", out)
+    assert (status, noted) == (0, "")
+    assert "trajectory.tum" in said
+    assert everything(house) == before
+    assert {path.name for path in out.iterdir()} == {"trajectory.tum", "map.png", "run.yaml"}
+    stamps, found = read_tum(out / "trajectory.tum")
+    np.testing.assert_array_equal(stamps, [frame.stamp for frame in load_log(str(SAMPLE))])
+    assert np.sqrt(np.mean(np.sum((found - poses)[:, :2] ** 2, axis=1))) < 0.1
+    assert yaml.safe_load((out / "run.yaml").read_text())["frames_not_sure"] == 0
+
+
+def test_one_frame_from_anywhere_is_not_sure(run, house, place):
+    log = put(place / "one.csv", LOG.rsplit("\n", 2)[0] + "\n")
+    status, _, noted = run("localise", log, "--robot", "duo.yaml", "--map", house, "--anywhere", "--out", "there")
+    assert status == 0
+    assert "note: 1 of 1 poses are the likeliest of several" in noted
+    assert len(read_tum(place / "there" / "trajectory.tum")[0]) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ([], "--start, --anywhere: found neither, expected one of the two"),
+        (["--start", "0,0,0", "--anywhere"], "--start, --anywhere: found both"),
+        (["--start", "0,0"], "--start: found 0,0, expected X,Y,DEG"),
+        (["--start", "0,nan,0"], "--start: found 0,nan,0, expected finite numbers"),
+        (["--start", "900,0,0"], "start: found 900, 0 m, outside of the map"),
+        (["--anywhere", "--seed", "-1"], "--seed: found -1"),
+        (["--anywhere", "--robot", "b21"], "found 2 sonars, expected 24"),
+        (["--anywhere", "--map", "nowhere"], "nowhere: found no such file"),
+        (["--anywhere", "--out", "HOUSE"], "the folder of the map, expected another one"),
+    ],
+)
+def test_what_cannot_be_is_one_line(run, house, place, arguments, line):
+    put(place / "drive.csv", LOG)
+    given = [str(house) if word == "HOUSE" else word for word in arguments]
+    defaults = [word for name, value in (("--map", house), ("--robot", "duo.yaml"), ("--out", "new"))
+                if name not in given for word in (name, value)]  # fmt: skip
+    assert line in assert_refused(run, place, "localise", "drive.csv", *defaults, *given)
+
+
+def test_a_log_without_any_echo_is_refused(run, house, place):
+    put(place / "drive.csv", "t,x,y,theta,r0,r1\n0,0,0,0,inf,inf\n1,0.1,0,0,inf,\n")
+    line = assert_refused(run, place, "localise", "drive.csv", "--robot", "duo.yaml", "--map", house, "--anywhere")
+    assert "drive.csv: found no echo of any sonar" in line
+
+
+def test_a_start_in_a_wall_is_refused(run, house, place):
+    put(place / "drive.csv", LOG)
+    grid = read_map(house)
+    x, y = grid.centre_of(np.argwhere(grid.observed & (grid.probability() > 0.9))[0])
+    line = assert_refused(
+        run, place, "localise", "drive.csv", "--robot", "duo.yaml", "--map", house, f"--start={x},{y},0"
+    )
+    assert "in a wall, expected free floor" in line
