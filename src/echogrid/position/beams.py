@@ -98,13 +98,15 @@ def _rays(grid: Grid, start: Float[ndarray, "cells 2"], reach: float) -> Float32
     told = np.pad(grid.observed, 1)
     cell = grid.resolution
     clear = np.pad(distance_transform_edt(~walls) if walls.any() else np.full(grid.shape, np.inf), 1) * cell
+    most = np.array(told.shape[::-1]) - 1
     ways = np.full((len(start), _HEADINGS), np.inf, dtype=np.float32)
     for k in range(_HEADINGS):
         angle = 2 * np.pi * k / _HEADINGS
         along = np.array([np.cos(angle), np.sin(angle)])
         way, live = np.zeros(len(start)), np.arange(len(start))
         while len(live):
-            cols, rows = (np.floor((start[live] + way[live, None] * along - grid.origin) / cell).astype(int) + 1).T
+            cells = np.floor((start[live] + way[live, None] * along - grid.origin) / cell).astype(int) + 1
+            cols, rows = np.clip(cells, 0, most).T
             near, known = clear[rows, cols], told[rows, cols]
             wall = known & (near < 0.75 * cell)
             ways[live[wall], k] = way[live[wall]]
