@@ -46,6 +46,9 @@ _POINTS, _POINTS_MANY, _MANY = 500, 300, 5000
 _LEAST, _MOST, _PER_M2 = 1000, 100_000, 400
 """Particles: at least, at most, and to begin with where the place is not known."""
 
+_PER_M2_RIVALS, _MOST_RIVALS = 80, 8_000
+"""Of those that look for another place while one is sure."""
+
 _START_M, _START_RAD = 0.15, np.deg2rad(7.0)
 """Standard deviation of a start that is given."""
 
@@ -138,6 +141,7 @@ class Localiser:
         off = self._rng.standard_normal((2 * _LEAST, 3)) * (_START_M, _START_M, _START_RAD)
         self._particles = self._guesses(start + off)
         self._sure, self._certain, self._bad = True, _FOR, 0
+        self._begin_rivals()
         self._place = Place(start, np.diag([_START_M, _START_M, _START_RAD]) ** 2, 1.0)
 
     def _spread(self) -> None:
@@ -217,22 +221,60 @@ class Localiser:
     def _look(self) -> None:
         """Move the particles along the piece, and weigh them by what it saw."""
         particles, rng = self._particles, self._rng
-        before = particles.poses
-        particles.propagate(self._net, self._way, self._turn, self._drift, rng)
-        through = self._walls.crossed(before[:, :2], particles.poses[:, :2])
-        passed = particles.weights @ through
-        poses = np.concatenate([particles.poses, self._anywhere(_AT_RANDOM)])
-        evidence = self._evidence(poses)
-        here, elsewhere = evidence[: len(particles)], evidence[len(particles) :]
+        rivals = self._rivals if self._sure else None
+        through = self._move(particles)
+        barred = None if rivals is None else self._move(rivals)
+        groups = [particles.poses, self._anywhere(_AT_RANDOM), *([] if rivals is None else [rivals.poses])]
+        evidence = self._evidence(np.concatenate(groups))
+        here, elsewhere, there = np.split(evidence, [len(particles), len(particles) + _AT_RANDOM])
+        passed = float(particles.weights @ through)
         particles.reweight(here * (1.0 if self._sure else _TEMPER) - _THROUGH * through)
         chance = float(np.quantile(elsewhere, _CHANCE))
-        agrees = bool(passed < 0.5 and particles.weights @ here > chance)
+        agreement = float(particles.weights @ here)
+        agrees = bool(passed < 0.5 and agreement > chance)
         if particles.effective() < len(particles) / 2:
             particles.resample(_LEAST, _MOST, rng)
         self._place = particles.place((_HEAP_M, _HEAP_RAD))
         self._frames.clear()
         if np.ptp(evidence) > 0:  # else it saw nothing
             self._judge(agrees)
+        if rivals is not None and self._sure:
+            rivals.reweight(there * _TEMPER - _THROUGH * barred)
+            self._compete(rivals, float(rivals.weights @ there) - agreement)
+
+    def _move(self, particles: Particles) -> Bool[ndarray, "n"]:
+        """Move particles along the piece; which of them went through a wall."""
+        before = particles.poses[:, :2]
+        particles.propagate(self._net, self._way, self._turn, self._drift, self._rng)
+        return self._walls.crossed(before, particles.poses[:, :2])
+
+    def _compete(self, rivals: Particles, better: float) -> None:
+        """Whether another place that was found anew explains more than the one that was sure.
+
+        Args:
+            rivals: particles that began anywhere while the place was sure, weighed.
+            better: by how much they agree better with this piece than the place does.
+        """
+        frame = self._last
+        assert frame is not None
+        if rivals.effective() < len(rivals) / 2:
+            rivals.resample(_LEAST, _MOST_RIVALS, self._rng)
+        place = rivals.place((_HEAP_M, _HEAP_RAD))
+        self._better = 0.7 * self._better + better
+        self._found = self._found + 1 if place.share >= _SURE else 0
+        if self._found < 2 * _FOR:
+            return
+        off = np.hypot(*(place.pose - self._place.pose)[:2])
+        if off > 2 * _HEAP_M and self._better > 0:
+            self._note("lost", frame)
+            self._particles, self._place, self._bad = rivals, place, 0
+            self._note("sure", frame)
+        self._begin_rivals()
+
+    def _begin_rivals(self) -> None:
+        """Look for the robot anywhere, whatever is sure."""
+        count = int(np.clip(_PER_M2_RIVALS * self._floor_m2, 2 * _LEAST, _MOST_RIVALS))
+        self._rivals, self._found, self._better = self._guesses(self._anywhere(count)), 0, 0.0
 
     def _evidence(self, poses: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
         """Log-likelihood of what the piece saw from poses at its end."""
@@ -259,6 +301,7 @@ class Localiser:
             self._spread()
         elif not self._sure and self._certain >= _FOR and self._driven - self._since >= _LEAST_WAY_M:
             self._sure = True
+            self._begin_rivals()
             self._particles.keep(self._place, (_HEAP_M, _HEAP_RAD))
             self._note("sure", frame)
 
