@@ -168,7 +168,7 @@ def test_an_odometry_that_begins_anew_is_told_and_survived(case, robot):
 
 
 def test_a_start_that_is_wrong_is_noticed(case, robot):
-    grid, poses, log = case
+    grid, _, log = case
     found = localise(log, grid, robot, (4.2, 1.0, 0.0))
     assert "lost" in [event.what for event in found.events]
 
