@@ -223,7 +223,7 @@ class Localiser:
         particles, rng = self._particles, self._rng
         rivals = self._rivals if self._sure else None
         through = self._move(particles)
-        barred = None if rivals is None else self._move(rivals)
+        barred = self._move(rivals) if rivals is not None else np.zeros(0, dtype=bool)
         groups = [particles.poses, self._anywhere(_AT_RANDOM), *([] if rivals is None else [rivals.poses])]
         evidence = self._evidence(np.concatenate(groups))
         here, elsewhere, there = np.split(evidence, [len(particles), len(particles) + _AT_RANDOM])
