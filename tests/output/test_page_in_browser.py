@@ -300,6 +300,7 @@ def test_a_corrected_drive_shows_what_the_odometry_said_and_the_loops(browser, t
     assert browser.execute_script("return facts.loops") == [[3, 30], [5, 39]]
     first = recording.frames()[0][1].odom
     told = browser.execute_script("return [scans.toldX[0], scans.toldY[0], scans.toldX[39] - scans.x[39]]")
+    assert first is not None
     assert told == pytest.approx([*first[:2], 0.02 * 40], abs=1e-3)
     both = picture(browser)
     by_id(browser, "odometry").click()

@@ -36,14 +36,9 @@ def found():
     return slam(Log.of(posed(drifting())), B21)
 
 
-@pytest.mark.xfail(reason="headings of chunks turn a map of true poses by a degree", strict=False)
 def test_good_odometry_is_not_spoilt():
     drive = slam(Log.of(FRAMES), B21)
     assert trajectory_error(drive.poses, TRUTH).aligned_rms_m < 0.03
-
-
-def test_true_poses_stay_nearly_so():
-    assert trajectory_error(slam(Log.of(FRAMES), B21).poses, TRUTH).aligned_rms_m < 0.06
 
 
 @pytest.mark.parametrize(("seed", "share"), [(1, 0.3), (3, 0.1)])

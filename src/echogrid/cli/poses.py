@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tqdm import tqdm
@@ -12,14 +12,18 @@ from echogrid.errors import escaped
 from echogrid.frame import Log
 from echogrid.output.graph_file import write_g2o
 from echogrid.output.trajectory import write_tum
-from echogrid.position.corrected import Corrected, slam
 from echogrid.robot import Robot
+
+if TYPE_CHECKING:
+    from echogrid.position.corrected import Corrected
 
 POSE_FILES = ("trajectory.tum", "odometry.tum", "graph.g2o")
 
 
-def corrected(log: Log, robot: Robot) -> Corrected:
+def corrected(log: Log, robot: Robot) -> "Corrected":
     """The log with the poses that are found, under progress bars."""
+    from echogrid.position.corrected import slam
+
     read = replace(log, open=lambda: shown(log, "reading"), judges=True)
     with tqdm(desc="finding poses", unit="node", disable=None, leave=False) as line:
 
@@ -30,12 +34,12 @@ def corrected(log: Log, robot: Robot) -> Corrected:
         return slam(read, robot, progress)
 
 
-def pose_files(drive: Corrected) -> list[str]:
+def pose_files(drive: "Corrected") -> list[str]:
     """Those of POSE_FILES that there are; where nothing was to be found there is no graph."""
     return list(POSE_FILES if drive.found is not None else POSE_FILES[:2])
 
 
-def write_poses(folder: Path, drive: Corrected) -> None:
+def write_poses(folder: Path, drive: "Corrected") -> None:
     """Write the files of poses."""
     write_tum(folder / "trajectory.tum", drive.stamps, drive.poses)
     write_tum(folder / "odometry.tum", drive.stamps, drive.odometry)
@@ -45,7 +49,7 @@ def write_poses(folder: Path, drive: Corrected) -> None:
         write_g2o(folder / "graph.g2o", nodes, edges.first, edges.second, edges.measured, edges.information)
 
 
-def pose_settings(drive: Corrected) -> dict[str, Any]:
+def pose_settings(drive: "Corrected") -> dict[str, Any]:
     """What run.yaml says of them: loops, and by what the odometry is to be multiplied or turned to be right."""
     if drive.found is None:
         return {"loops": 0, "odometry": None}
@@ -54,7 +58,7 @@ def pose_settings(drive: Corrected) -> dict[str, Any]:
     return {"loops": len(drive.loops), "odometry": {name: round(value, 5) for name, value in right.items()}}
 
 
-def report(folder: Path, drive: Corrected) -> None:
+def report(folder: Path, drive: "Corrected") -> None:
     """Say what was found."""
     if drive.found is None:
         return  # a note says so

@@ -24,9 +24,7 @@ _BEFORE_M = 0.25  # so much of the way before an echo is not told free
 _RAYS = 7
 
 
-def with_far_echoes(
-    field: Field, frames: Sequence[Frame], poses: Float[ndarray, "frames 3"], robot: Robot
-) -> Field:
+def with_far_echoes(field: Field, frames: Sequence[Frame], poses: Float[ndarray, "frames 3"], robot: Robot) -> Field:
     """A local map, and round what it knows the evidence of far echoes of frames at poses (m, m, rad) in its frame."""
     ranges = np.array([frame.ranges for frame in frames])
     frame, sonar = np.nonzero(np.isfinite(ranges) & (ranges > NEAR_M) & (ranges <= FAR_M))
@@ -39,7 +37,9 @@ def with_far_echoes(
     half = max(robot.beam_width_rad / 2 * BEAM_SHARE, 0.02)
     arc = np.linspace(-half, half, max(3, int(2 * half * FAR_M / cell)))
     surface = _polar(at, arc, ranges[:, None] + np.arange(-1, 2) * cell)
-    way = np.broadcast_to(np.arange(NEAR_M - 0.5, FAR_M, cell), (len(ranges), int(np.ceil((FAR_M - NEAR_M + 0.5) / cell))))
+    way = np.broadcast_to(
+        np.arange(NEAR_M - 0.5, FAR_M, cell), (len(ranges), int(np.ceil((FAR_M - NEAR_M + 0.5) / cell)))
+    )
     free = _polar(at, np.linspace(-half, half, _RAYS) * 0.7, way)
     free = free[np.broadcast_to((way < ranges[:, None] - _BEFORE_M)[:, None], free.shape[:-1])]
     return _around(field, surface.reshape(-1, 2), free)
@@ -50,7 +50,9 @@ def _polar(
 ) -> Float[ndarray, "echoes n m 2"]:
     angle = (at[:, 2, None] + bearing)[..., None]
     radius = radius[:, None]
-    return np.stack([at[:, 0, None, None] + radius * np.cos(angle), at[:, 1, None, None] + radius * np.sin(angle)], -1)
+    return np.stack(
+        [at[:, 0, None, None] + radius * np.cos(angle), at[:, 1, None, None] + radius * np.sin(angle)], -1
+    )
 
 
 def _around(field: Field, surface: Float[ndarray, "n 2"], free: Float[ndarray, "m 2"]) -> Field:

@@ -1,6 +1,6 @@
 """A graph of poses in the plane, whose odometry has a systematic error that is estimated with them."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -8,91 +8,108 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.sparse import csc_matrix
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
-from echogrid.geometry import compose, inverse, wrap
+from echogrid.geometry import wrap
 
 
 class Edges(NamedTuple):
     """What is known of poses as seen from others."""
 
     first: Int[ndarray, "edges"]
+    """Node from which the second is seen."""
     second: Int[ndarray, "edges"]
     measured: Float[ndarray, "edges 3"]
-    """Pose of the second node as seen from the first, m, m, rad."""
+    """Pose of the second node in the frame of the first, m, m, rad."""
     information: Float[ndarray, "edges 3 3"]
     """Inverse of its covariance, in the frame of the measured pose."""
     width: Float[ndarray, "edges"]
-    """Of a robust kernel, in standard deviations: what is farther off counts less (inf: none)."""
+    """Of a robust kernel, in standard deviations: what is farther off counts less (inf: all count in full)."""
     by: Float[ndarray, "edges 3 parameters"] | None = None
-    """How the measured pose changes with the parameters."""
+    """How the measured pose changes with the parameters; None: it does not."""
 
 
-def joined(edges: list[Edges]) -> Edges:
-    most = max((e.by.shape[2] for e in edges if e.by is not None), default=0)
-    by = [np.zeros((len(e.first), 3, most)) if e.by is None else e.by for e in edges]
-    return Edges(*(np.concatenate([np.asarray(e[k]) for e in edges]) for k in range(5)), np.concatenate(by))
+def joined(edges: Sequence[Edges]) -> Edges:
+    """All edges of several sets."""
+    parameters = max((each.by.shape[2] for each in edges if each.by is not None), default=0)
+    by = [np.zeros((len(each.first), 3, parameters)) if each.by is None else each.by for each in edges]
+    first, second, measured, information, width = (np.concatenate([each[k] for each in edges]) for k in range(5))
+    return Edges(first, second, measured, information, width, np.concatenate(by))
 
 
-def errors(poses: Float[ndarray, "nodes 3"], e: Edges, measured: Float[ndarray, "edges 3"]):
-    """Residuals, and their derivatives by both poses."""
-    i, j = poses[e.first], poses[e.second]
-    c, s = np.cos(i[:, 2]), np.sin(i[:, 2])
-    d = j[:, :2] - i[:, :2]
-    seen = np.stack([c * d[:, 0] + s * d[:, 1], -s * d[:, 0] + c * d[:, 1]], axis=-1)
-    cz, sz = np.cos(measured[:, 2]), np.sin(measured[:, 2])
-    off = seen - measured[:, :2]
-    residual = np.stack(
-        [
-            cz * off[:, 0] + sz * off[:, 1],
-            -sz * off[:, 0] + cz * off[:, 1],
-            wrap(j[:, 2] - i[:, 2] - measured[:, 2]),
-        ],
-        axis=-1,
-    )
-    n = len(residual)
-    Rz = np.zeros((n, 2, 2))
-    Rz[:, 0, 0], Rz[:, 0, 1], Rz[:, 1, 0], Rz[:, 1, 1] = cz, sz, -sz, cz
-    Ri = np.zeros((n, 2, 2))
-    Ri[:, 0, 0], Ri[:, 0, 1], Ri[:, 1, 0], Ri[:, 1, 1] = c, s, -s, c
-    RR = Rz @ Ri
-    A = np.zeros((n, 3, 3))
-    B = np.zeros((n, 3, 3))
-    A[:, :2, :2] = -RR
-    B[:, :2, :2] = RR
-    turn = np.stack([-s * d[:, 0] + c * d[:, 1], -c * d[:, 0] - s * d[:, 1]], axis=-1)
-    A[:, :2, 2] = np.einsum("nij,nj->ni", Rz, turn)
-    A[:, 2, 2], B[:, 2, 2] = -1, 1
-    # by the measured pose's translation (its rotation only turns a small residual)
-    M = np.zeros((n, 3, 3))
-    M[:, :2, :2] = -Rz
-    M[:, 2, 2] = -1
-    return residual, A, B, M
+class Residuals(NamedTuple):
+    """How far poses are off, and how that changes with them."""
+
+    off: Float[ndarray, "edges 3"]
+    """In the frame of the measured pose, m, m, rad."""
+    by_first: Float[ndarray, "edges 3 3"]
+    by_second: Float[ndarray, "edges 3 3"]
+    by_measured: Float[ndarray, "edges 3 3"]
+    """But for the turning of a residual, which is small."""
 
 
-def weights(chi2: Float[ndarray, "edges"], width: Float[ndarray, "edges"]) -> Float[ndarray, "edges"]:
-    """What edges count (dynamic covariance scaling, Agarwal 2013)."""
+def residuals(
+    poses: Float[ndarray, "nodes 3"], edges: Edges, measured: Float[ndarray, "edges 3"] | None = None
+) -> Residuals:
+    """How far poses (m, m, rad) are from what edges say, or from other measured poses in their place."""
+    measured = edges.measured if measured is None else measured
+    first, second = poses[edges.first], poses[edges.second]
+    to_first, to_measured = _turned_back(first[:, 2]), _turned_back(measured[:, 2])
+    way = second[:, :2] - first[:, :2]
+    seen = np.einsum("nij,nj->ni", to_first, way)
+    off = np.empty((len(first), 3))
+    off[:, :2] = np.einsum("nij,nj->ni", to_measured, seen - measured[:, :2])
+    off[:, 2] = wrap(second[:, 2] - first[:, 2] - measured[:, 2])
+    by_first, by_second, by_measured = (np.zeros((len(first), 3, 3)) for _ in range(3))
+    by_second[:, :2, :2] = to_measured @ to_first
+    by_first[:, :2, :2] = -by_second[:, :2, :2]
+    turn = np.stack([seen[:, 1], -seen[:, 0]], axis=-1)
+    by_first[:, :2, 2] = np.einsum("nij,nj->ni", to_measured, turn)
+    by_measured[:, :2, :2] = -to_measured
+    by_first[:, 2, 2], by_second[:, 2, 2], by_measured[:, 2, 2] = -1, 1, -1
+    return Residuals(off, by_first, by_second, by_measured)
+
+
+def _turned_back(angle: Float[ndarray, "n"]) -> Float[ndarray, "n 2 2"]:
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.moveaxis(np.array([[cos, sin], [-sin, cos]]), -1, 0)
+
+
+def counted(chi2: Float[ndarray, "edges"], width: Float[ndarray, "edges"]) -> Float[ndarray, "edges"]:
+    """What edges count, by the squares of how far they are off (dynamic covariance scaling, Agarwal et al. 2013)."""
     with np.errstate(invalid="ignore"):
-        s = np.minimum(1.0, 2 * width**2 / (width**2 + chi2))
-    return np.where(np.isinf(width), 1.0, s**2)
+        scale = np.minimum(1.0, 2 * width**2 / (width**2 + chi2))
+    return np.where(np.isinf(width), 1.0, scale**2)
 
 
-@dataclass
+def _cost(chi2: Float[ndarray, "edges"], width: Float[ndarray, "edges"]) -> float:
+    """The sum whose derivative by ``chi2`` is ``counted``."""
+    with np.errstate(invalid="ignore"):
+        far = 3 * width**2 - 4 * width**4 / (chi2 + width**2)
+    return float(np.sum(np.where(chi2 <= width**2, chi2, far)))
+
+
+@dataclass(frozen=True)
 class Solution:
+    """The poses that agree best with all edges."""
+
     poses: Float[ndarray, "nodes 3"]
     parameters: Float[ndarray, "parameters"]
     chi2: Float[ndarray, "edges"]
-    weight: Float[ndarray, "edges"]
-    factor: object = field(repr=False, default=None)
+    """Squares of how far the edges are off, in standard deviations."""
+    _factor: SuperLU = field(repr=False)
 
-    def covariance(self, nodes) -> Float[ndarray, "n n 3 3"]:
-        """Covariance of the poses of some nodes, blocks."""
-        size = self.factor.shape[0]
+    def covariance(self, nodes: Sequence[int]) -> Float[ndarray, "n n 3 3"]:
+        """Covariances between the poses of some nodes."""
         n = len(nodes)
-        columns = np.zeros((size, 3 * n))
         at = (3 * np.asarray(nodes)[:, None] + np.arange(3)).ravel()
+        columns = np.zeros((self._factor.shape[0], 3 * n))
         columns[at, np.arange(3 * n)] = 1
-        return self.factor.solve(columns)[at].reshape(n, 3, n, 3).swapaxes(1, 2)
+        return self._factor.solve(columns)[at].reshape(n, 3, n, 3).swapaxes(1, 2)
+
+
+_HELD = 1e9
+"""Information that keeps the first node where it is."""
 
 
 def solve(
@@ -102,72 +119,85 @@ def solve(
     spread: Float[ndarray, "parameters"],
     rounds: int = 20,
     tolerance: float = 1e-5,
-    anchor: int = 0,
 ) -> Solution:
-    """Gauss-Newton with a robust kernel; the anchor keeps its pose."""
-    poses, start = poses.copy(), parameters.copy()
-    given = start.copy()
-    parameters = parameters.copy()
-    n, k = len(poses), len(parameters)
-    size = 3 * n + k
-    m = len(edges.first)
-    by = edges.by if edges.by is not None else np.zeros((m, 3, k))
-    at_i = 3 * edges.first[:, None] + np.arange(3)
-    at_j = 3 * edges.second[:, None] + np.arange(3)
-    at_p = np.broadcast_to(3 * n + np.arange(k), (m, k))
-    at = np.concatenate([at_i, at_j, at_p], axis=1)  # [m, 6 + k]
-    rows = np.repeat(at, at.shape[1], axis=1).ravel()
-    cols = np.tile(at, (1, at.shape[1])).ravel()
+    """Find the poses and parameters that agree best with all edges (Levenberg-Marquardt); node 0 keeps its pose.
 
-    def look(poses, parameters):
-        measured = edges.measured + by @ (parameters - given)
-        r, A, B, M = errors(poses, edges, measured)
-        chi2 = np.einsum("ni,nij,nj->n", r, edges.information, r)
-        return r, A, B, M, chi2
-
+    Args:
+        poses: to begin with, m, m, rad.
+        edges: what is known; what they measured holds for the parameters as they are given.
+        parameters: to begin with.
+        spread: standard deviations of the parameters, which are 0 in the mean.
+        rounds: at most.
+        tolerance: no pose and no parameter changes by more, m or rad, when it is done.
+    """
+    system = _System(len(poses), edges, parameters, spread)
     damping = 1e-6
-    r, A, B, M, chi2 = look(poses, parameters)
-
-    def cost(chi2, parameters):
-        w = edges.width
-        with np.errstate(invalid="ignore"):
-            robust = np.where(np.isinf(w) | (chi2 <= w**2), chi2, 3 * w**2 - 4 * w**4 / (chi2 + w**2) + 0)
-        robust = np.where(np.isinf(w), chi2, robust)
-        return robust.sum() + np.sum((parameters / spread) ** 2)
-
-    now = cost(chi2, parameters)
+    point = system.at(poses, parameters)
     for _ in range(rounds):
-        w = weights(chi2, edges.width)
-        info = edges.information * w[:, None, None]
-        J = np.concatenate([A, B, M @ by], axis=2)  # [m, 3, 6+k]
-        JW = np.einsum("nij,njk->nik", info, J)
-        H = np.einsum("nij,nik->njk", J, JW)
-        g = np.einsum("nij,ni->nj", JW, r)
-        gradient = np.zeros(size)
-        np.add.at(gradient, at.ravel(), g.ravel())
-        gradient[3 * n :] += parameters / spread**2
-        matrix = csc_matrix((H.ravel(), (rows, cols)), shape=(size, size))
-        extra = np.zeros(size)
-        extra[3 * anchor : 3 * anchor + 3] = 1e9
-        extra[3 * n :] = 1 / spread**2
+        matrix, gradient = system.equations(point)
         while True:
-            diagonal = matrix.diagonal() * damping + extra + 1e-9
-            full = matrix + csc_matrix((diagonal, (np.arange(size), np.arange(size))), shape=(size, size))
-            factor = splu(full, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}, diag_pivot_thresh=0.0)
-            step = -factor.solve(gradient)
-            new = poses + step[: 3 * n].reshape(-1, 3)
-            new_parameters = parameters + step[3 * n :]
-            looked = look(new, new_parameters)
-            then = cost(looked[4], new_parameters)
-            if then <= now + 1e-9 or damping > 1e3:
+            step = -system.factor(matrix, damping).solve(gradient)
+            then = system.at(point.poses + step[: poses.size].reshape(-1, 3), point.parameters + step[poses.size :])
+            if then.cost <= point.cost + 1e-9 or damping > 1e3:
                 break
             damping = max(damping * 10, 1e-4)
         damping = max(damping / 10, 1e-9)
-        poses, parameters = new, new_parameters
-        r, A, B, M, chi2 = looked
-        done = np.max(np.abs(step)) < tolerance
-        now = then
-        if done:
+        point = then
+        if np.max(np.abs(step)) < tolerance:
             break
-    poses[:, 2] = wrap(poses[:, 2])
-    return Solution(poses, parameters, chi2, weights(chi2, edges.width), factor)
+    factor = system.factor(system.equations(point)[0], 0.0)
+    found = point.poses.copy()
+    found[:, 2] = wrap(found[:, 2])
+    return Solution(found, point.parameters, point.chi2, factor)
+
+
+class _Point(NamedTuple):
+    """Poses and parameters, and how far they are off."""
+
+    poses: Float[ndarray, "nodes 3"]
+    parameters: Float[ndarray, "parameters"]
+    residuals: Residuals
+    chi2: Float[ndarray, "edges"]
+    cost: float
+
+
+class _System:
+    """The normal equations of a graph."""
+
+    def __init__(self, nodes: int, edges: Edges, parameters: ndarray, spread: ndarray):
+        self._edges, self._given, self._spread = edges, parameters, spread
+        self._size, count = 3 * nodes + len(parameters), len(edges.first)
+        self._by = np.zeros((count, 3, len(parameters))) if edges.by is None else edges.by
+        three = np.arange(3)
+        own = np.broadcast_to(3 * nodes + np.arange(len(parameters)), (count, len(parameters)))
+        self._at = np.concatenate([3 * edges.first[:, None] + three, 3 * edges.second[:, None] + three, own], axis=1)
+        wide = self._at.shape[1]
+        self._rows, self._cols = np.repeat(self._at, wide, axis=1).ravel(), np.tile(self._at, (1, wide)).ravel()
+        self._known = np.zeros(self._size)
+        self._known[:3] = _HELD
+        self._known[3 * nodes :] = 1 / spread**2
+
+    def at(self, poses: Float[ndarray, "nodes 3"], parameters: Float[ndarray, "parameters"]) -> _Point:
+        measured = self._edges.measured + self._by @ (parameters - self._given)
+        found = residuals(poses, self._edges, measured)
+        chi2 = np.einsum("ni,nij,nj->n", found.off, self._edges.information, found.off)
+        cost = _cost(chi2, self._edges.width) + float(np.sum((parameters / self._spread) ** 2))
+        return _Point(poses, parameters, found, chi2, cost)
+
+    def equations(self, point: _Point) -> tuple[csc_matrix, Float[ndarray, "size"]]:
+        """Half the second derivatives of the cost (of Gauss and Newton), and half the first."""
+        off, by_first, by_second, by_measured = point.residuals
+        information = self._edges.information * counted(point.chi2, self._edges.width)[:, None, None]
+        by = np.concatenate([by_first, by_second, by_measured @ self._by], axis=2)
+        weighted = information @ by
+        blocks = np.einsum("nij,nik->njk", by, weighted)
+        gradient = np.zeros(self._size)
+        np.add.at(gradient, self._at.ravel(), np.einsum("nij,ni->nj", weighted, off).ravel())
+        gradient[self._size - len(self._spread) :] += point.parameters / self._spread**2
+        return csc_matrix((blocks.ravel(), (self._rows, self._cols)), shape=(self._size, self._size)), gradient
+
+    def factor(self, matrix: csc_matrix, damping: float) -> SuperLU:
+        diagonal = matrix.diagonal() * damping + self._known + 1e-9
+        at = np.arange(self._size)
+        whole = matrix + csc_matrix((diagonal, (at, at)), shape=matrix.shape)
+        return splu(whole, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}, diag_pivot_thresh=0.0)

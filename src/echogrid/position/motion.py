@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from echogrid.geometry import compose, inverse, transform, wrap
+from echogrid.geometry import compose, inverse
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """A drive cut into pieces, each short enough for its odometry, and the local maps that pieces make."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -39,7 +40,7 @@ def pieces(step: Float[ndarray, "steps 3"]) -> list[Piece]:
     cut = np.append(cut[cut < len(amount)], len(amount))
     if len(cut) > 2 and cut[-1] - cut[-2] < _LEAST_FRAMES:
         cut = np.delete(cut, -2)
-    return [Piece(int(a), int(b), int(a + b) // 2) for a, b in zip(cut, cut[1:], strict=False)]
+    return [Piece(a, b, (a + b) // 2) for a, b in pairwise(cut.tolist())]
 
 
 class LocalMaps:
@@ -85,12 +86,13 @@ def spread_over(
     cut: Sequence[Piece], poses: Float[ndarray, "pieces 3"], drive: Float[ndarray, "frames 3"]
 ) -> Float[ndarray, "frames 3"]:
     """Poses of all frames: those of the pieces at their middles, and between them the drive by odometry, with what
-    it is off by at the next one spread evenly over the frames."""
+    it is off by at the next one spread evenly over the frames.
+    """
     middle: Int[ndarray, "pieces"] = np.array([piece.middle for piece in cut])
     out = np.empty_like(drive)
     out[: middle[0]] = compose(poses[0], compose(inverse(drive[middle[0]]), drive[: middle[0]]))
     out[middle[-1] :] = compose(poses[-1], compose(inverse(drive[middle[-1]]), drive[middle[-1] :]))
-    for k, (a, b) in enumerate(zip(middle, middle[1:], strict=False)):
+    for k, (a, b) in enumerate(pairwise(middle.tolist())):
         way = compose(inverse(drive[a]), drive[a:b])
         off = compose(inverse(poses[k]), poses[k + 1]) - compose(inverse(drive[a]), drive[b])
         off[2] = (off[2] + np.pi) % (2 * np.pi) - np.pi

@@ -14,7 +14,7 @@ from numpy import ndarray
 from echogrid.frame import Frame
 from echogrid.geometry import compose, inverse, wrap
 from echogrid.position import walls
-from echogrid.position.graph import Edges, Solution, errors, joined, solve
+from echogrid.position.graph import Edges, Solution, joined, residuals, solve
 from echogrid.position.matching import Match, Seen, Target, match, seen
 from echogrid.position.motion import PARAMETERS, Drift, chained, corrected, lengths, steps
 from echogrid.position.pieces import LocalMaps, pieces, spread_over
@@ -24,8 +24,8 @@ BEFORE, ANCHOR = 12, 4
 """A piece is matched to the map of so many pieces before it, and its pose is told from the one so many before it."""
 
 CHAIN = np.array([6.0, 4.0, 10.0])
-"""What the spread of such matches is multiplied with, along, across, heading: those that follow each other overlap and
-err alike, along a corridor and in heading above all."""
+"""What the spread of such matches is multiplied with, along, across, heading: those that follow each other overlap
+and err alike, along a corridor and in heading above all."""
 
 CHAIN_SHARE = 0.3
 """Of a piece's points on known ground that such a match needs."""
@@ -51,6 +51,9 @@ POINTS, WIDE_POINTS = 900, 1500
 
 SOLVE_EVERY, SOLVE_ROUNDS = 2, 4
 
+TRUST_ROUNDS, LEAST_TRUST = 4, 0.05
+"""Odometry is believed to twice the error that it showed, step by step, but never to less than this of its drift."""
+
 
 @dataclass(frozen=True)
 class Found:
@@ -73,7 +76,7 @@ class Found:
     """What is doubtful, and how often; 0 where that says nothing."""
 
 
-def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], None] | None = None) -> Found:
+def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], object] | None = None) -> Found:
     """Find the poses of a log whose poses are odometry that drifts.
 
     Args:
@@ -88,6 +91,7 @@ def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], N
         drive.place(k)
         if progress:
             progress(k + 1, drive.count)
+    drive.trust()
     poses = spread_over(drive.cut, drive.poses, drive.by_odometry)
     poses = compose(odometry[0], compose(inverse(poses[0]), poses))
     loops = [(edge.first, edge.second) for edge in drive.matches if edge.loop]
@@ -115,7 +119,7 @@ class _Drive:
         self.poses = np.zeros((self.count, 3))
         self.parameters = np.zeros(PARAMETERS)
         self.matches: list[_Edge] = []
-        self._drift = Drift()
+        self._drift, self._trust = Drift(), 1.0
         self._rng = np.random.default_rng(0)
         self._maps = LocalMaps(frames, self.cut, robot)
         self._walls: dict[int, Float[ndarray, "points 2"]] = {}
@@ -126,7 +130,7 @@ class _Drive:
 
     def place(self, k: int) -> None:
         """Place the next piece."""
-        self.poses[k] = compose(self.poses[k - 1], self._odometry.measured[k - 1])
+        self.poses[k] = compose(self.poses[k - 1], self._measured[k - 1])
         self._follow(k)
         if k % COMPASS_EVERY == 0 and k >= 2 * COMPASS_HALF:
             self._look_along_walls(k - COMPASS_HALF)
@@ -135,9 +139,25 @@ class _Drive:
         if k % SOLVE_EVERY == 0 or k == self.count - 1:
             self._solve(k + 1)
 
+    def trust(self) -> None:
+        """Believe odometry as far as it has proved right: where what is known of all places asks for little of the
+        error that it may have, it has little.
+        """
+        for _ in range(TRUST_ROUNDS if self._solution is not None else 0):
+            pair = compose(inverse(self.poses[:-1]), self.poses[1:])
+            off = compose(inverse(self._measured), pair)
+            off[:, 2] = wrap(off[:, 2])
+            squares = np.einsum("ni,nij,nj->n", off, self._information, off)
+            share = 2 * float(np.sqrt(np.mean(squares) / 3))
+            if share >= 1 or self._trust <= LEAST_TRUST:
+                return
+            self._trust = max(self._trust * share, LEAST_TRUST)
+            self._correct()
+            self._solve(self.count)
+
     def edges(self, count: int) -> Edges:
         """What is known of the first so many pieces; a node behind them is the compass."""
-        odometry = Edges(*(each[: count - 1] for each in self._odometry))
+        odometry = self._odometry_edges(count - 1)
         parts = [odometry]
         if self.matches:
             first, second, pose, information, _ = zip(*self.matches, strict=True)
@@ -156,15 +176,19 @@ class _Drive:
     def _correct(self) -> None:
         """Work out what odometry says with the parameters as they are now."""
         between, self.by_odometry = self._between(self.parameters)
-        by = np.zeros((self.count - 1, 3, PARAMETERS))
+        self._measured = between
+        self._by = np.zeros((self.count - 1, 3, PARAMETERS))
         small = 1e-4
         for k in range(PARAMETERS):
             change = self._between(self.parameters + small * np.eye(PARAMETERS)[k])[0] - between
             change[:, 2] = wrap(change[:, 2])
-            by[:, :, k] = change / small
-        at = np.arange(self.count - 1)
-        none = np.full(self.count - 1, np.inf)
-        self._odometry = Edges(at, at + 1, between, self._odometry_information(), none, by)
+            self._by[:, :, k] = change / small
+        self._information = self._odometry_information()
+
+    def _odometry_edges(self, count: int) -> Edges:
+        """From each of the first so many pieces to the next."""
+        at, none = np.arange(count), np.full(count, np.inf)
+        return Edges(at, at + 1, self._measured[:count], self._information[:count], none, self._by[:count])
 
     def _between(self, parameters: ndarray) -> tuple[Float[ndarray, "pairs 3"], Float[ndarray, "frames 3"]]:
         drive = chained(np.zeros(3), corrected(self._step, parameters))
@@ -173,18 +197,19 @@ class _Drive:
 
     def _odometry_information(self) -> Float[ndarray, "pairs 3 3"]:
         drift, middle = self._drift, np.array([piece.middle for piece in self.cut])
-        way, turn = (np.diff(np.concatenate([[0.0], np.cumsum(np.abs(each))])[middle]) for each in lengths(self._step))
+        covered = (np.concatenate([[0.0], np.cumsum(np.abs(each))]) for each in lengths(self._step))
+        way, turn = (np.diff(each[middle]) for each in covered)
         heading = way * drift.heading**2 + turn * drift.turned**2 + drift.still[1] ** 2
         still = drift.still[0] ** 2
         variance = [way * drift.way**2 + still, way * drift.side**2 + still + heading * way**2 / 12, heading]
         information = np.zeros((self.count - 1, 3, 3))
-        information[:, [0, 1, 2], [0, 1, 2]] = 1 / np.stack(variance, axis=1)
+        information[:, [0, 1, 2], [0, 1, 2]] = 1 / np.stack(variance, axis=1) / self._trust**2
         return information
 
     def _drifted(self, first: int, second: int) -> Float[ndarray, "3 3"]:
         """Covariance of the pose of a piece as seen from an earlier one, by odometry alone, roughly."""
-        variance = np.sum(1 / self._odometry.information[first:second, [0, 1, 2], [0, 1, 2]], axis=0)
-        way = float(np.abs(self._odometry.measured[first:second, 0]).sum())
+        variance = np.sum(1 / self._information[first:second, [0, 1, 2], [0, 1, 2]], axis=0)
+        way = float(np.abs(self._measured[first:second, 0]).sum())
         variance[:2] += variance[2] * way**2 / 3
         return np.diag(variance)
 
@@ -304,8 +329,8 @@ class _Drive:
         pair = self.poses[[j, last]]
         seen = compose(inverse(pair[0]), pair[1])
         one = Edges(np.array([0]), np.array([1]), seen[None], np.eye(3)[None], np.array([np.inf]))
-        _, by_first, by_second, _ = errors(pair, one, one.measured)
-        by = np.concatenate([by_first[0], by_second[0]], axis=1)
+        told = residuals(pair, one)
+        by = np.concatenate([told.by_first[0], told.by_second[0]], axis=1)
         cos, sin = np.cos(seen[2]), np.sin(seen[2])
         turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ by
         covariance = turn @ np.block([[blocks[0, 0], blocks[0, 1]], [blocks[1, 0], blocks[1, 1]]]) @ turn.T

@@ -1,4 +1,4 @@
-"""In which direction walls run: in most buildings all of them stand at right angles, which is as good as a compass."""
+"""In which direction walls run: in most buildings all stand at right angles, which is as good as a compass."""
 
 import numpy as np
 from jaxtyping import Float
