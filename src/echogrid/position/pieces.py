@@ -77,7 +77,7 @@ class LocalMaps:
 
     def _within(
         self, k: int, poses: Float[ndarray, "pieces 3"], drive: Float[ndarray, "frames 3"]
-    ) -> Float[ndarray, "frames 3"]:
+    ) -> Float[ndarray, "own 3"]:
         piece = self._cut[k]
         return compose(poses[k], compose(inverse(drive[piece.middle]), drive[piece.first : piece.end]))
 

@@ -47,6 +47,10 @@ COMPASS_RAD, COMPASS_EVERY, COMPASS_HALF, COMPASS_SURE_RAD = np.deg2rad(2.5), 3,
 """How exact the direction of walls is, how often it is taken, over how many pieces to each side, and how well the
 heading must be known, for a quarter turn must not be mistaken."""
 
+BENDS, BENDS_AT, STRAIGHTER = np.deg2rad(np.linspace(-5, 5, 21)), 30, 1.15
+"""Heading biases (rad/m) that are tried before all else, at how many places of the drive, and how much straighter
+the best of them has to make the walls."""
+
 POINTS, WIDE_POINTS = 900, 1500
 
 SOLVE_EVERY, SOLVE_ROUNDS = 2, 4
@@ -96,7 +100,7 @@ def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], o
     poses = compose(odometry[0], compose(inverse(poses[0]), poses))
     loops = [(edge.first, edge.second) for edge in drive.matches if edge.loop]
     nodes = np.array([piece.middle for piece in drive.cut])
-    return Found(poses, odometry, nodes, drive.edges(drive.count), loops, drive.parameters, {})
+    return Found(poses, odometry, nodes, drive.edges(drive.count), loops, drive.drift, {})
 
 
 class _Edge(NamedTuple):
@@ -127,6 +131,9 @@ class _Drive:
         self._compass: float | None = None
         self._solution: Solution | None = None
         self._correct()
+        self._bias = self._straight()
+        self._step = corrected(self._step, np.array([0.0, self._bias, 0.0]))
+        self._correct()
 
     def place(self, k: int) -> None:
         """Place the next piece."""
@@ -138,6 +145,11 @@ class _Drive:
             self._close_loops(k)
         if k % SOLVE_EVERY == 0 or k == self.count - 1:
             self._solve(k + 1)
+
+    @property
+    def drift(self) -> Float[ndarray, "3"]:
+        """What corrects the odometry."""
+        return self.parameters + np.array([0.0, self._bias, 0.0])
 
     def trust(self) -> None:
         """Believe odometry as far as it has proved right: where what is known of all places asks for little of the
@@ -212,6 +224,28 @@ class _Drive:
         way = float(np.abs(self._measured[first:second, 0]).sum())
         variance[:2] += variance[2] * way**2 / 3
         return np.diag(variance)
+
+    def _straight(self) -> float:
+        """The heading bias (rad/m) with which the walls beside the drive are straightest, to begin with; 0 where none
+        makes them much straighter than they are.
+        """
+        half = COMPASS_HALF
+        windows = np.unique(np.linspace(half, self.count - 1 - half, BENDS_AT).astype(int))
+        if self.count <= 2 * half:
+            return 0.0
+        told = []
+        for bias in BENDS:
+            drive = chained(np.zeros(3), corrected(self._step, np.array([0.0, bias, 0.0])))
+            self.poses = drive[[piece.middle for piece in self.cut]]
+            told.append(
+                sum(
+                    walls.sharpest(np.concatenate([self._walls_from(m, k) for k in range(m - half, m + half + 1)]))[1]
+                    for m in windows.tolist()
+                )
+            )
+        self.poses = np.zeros((self.count, 3))
+        best = int(np.argmax(told))
+        return float(BENDS[best]) if told[best] > STRAIGHTER * told[len(BENDS) // 2] else 0.0
 
     # Matches.
 

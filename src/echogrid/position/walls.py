@@ -6,7 +6,7 @@ from numpy import ndarray
 
 from echogrid.position.matching import Field
 
-DISTINCT = 1.0
+DISTINCT = 0.75
 """How far the best direction must stand out of the others; less is no direction."""
 
 LEAST_POINTS, MOST_POINTS = 100, 80
@@ -28,11 +28,20 @@ def surface_points(field: Field, rng: np.random.Generator) -> Float[ndarray, "po
 def direction(points: Float[ndarray, "points 2"]) -> float | None:
     """Direction (rad, in [0, pi / 2)) along which, and across which, surface points lie in lines.
 
+    None where no direction is distinct.
+    """
+    angle, distinct = sharpest(points)
+    return angle if distinct >= DISTINCT else None
+
+
+def sharpest(points: Float[ndarray, "points 2"]) -> tuple[float, float]:
+    """The direction of ``direction``, and how far it stands out of the others.
+
     Projected onto an axis across a wall its points fall into few bins: the sum of squares of the histograms along
-    and across is largest there. None where no direction is distinct.
+    and across is largest there.
     """
     if len(points) < LEAST_POINTS:
-        return None
+        return 0.0, 0.0
     angles = np.arange(0, QUARTER - 1e-9, STEP_RAD)
     axes = np.concatenate([angles, angles + QUARTER])
     bins = np.floor((points[:, :1] * np.cos(axes) + points[:, 1:] * np.sin(axes)) / BIN_M).astype(int)
@@ -43,11 +52,10 @@ def direction(points: Float[ndarray, "points 2"]) -> float | None:
     sharp = ((counts[:, :-1] + counts[:, 1:]) ** 2).sum(axis=1)
     sharp = sharp[: len(angles)] + sharp[len(angles) :]
     i = int(np.argmax(sharp))
-    if sharp[i] < (1 + DISTINCT) * np.median(sharp):
-        return None
     before, best, after = sharp[i - 1], sharp[i], sharp[(i + 1) % len(angles)]
     bend = before - 2 * best + after
-    return float(np.mod(angles[i] + (0.5 * (before - after) / bend if bend < 0 else 0.0) * STEP_RAD, QUARTER))
+    off = 0.5 * (before - after) / bend if bend < 0 else 0.0
+    return float(np.mod(angles[i] + off * STEP_RAD, QUARTER)), float(sharp[i] / np.median(sharp) - 1)
 
 
 def nearest_quarter(heading: float, to: float) -> float:
