@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from echogrid.frame import Frame
-from echogrid.geometry import compose, inverse
+from echogrid.geometry import compose, inverse, wrap
 from echogrid.grid import sigmoid
 from echogrid.mapping.mapper import Mapper
 from echogrid.mapping.registry import DEFAULT, sensor_model
@@ -95,6 +95,6 @@ def spread_over(
     for k, (a, b) in enumerate(pairwise(middle.tolist())):
         way = compose(inverse(drive[a]), drive[a:b])
         off = compose(inverse(poses[k]), poses[k + 1]) - compose(inverse(drive[a]), drive[b])
-        off[2] = (off[2] + np.pi) % (2 * np.pi) - np.pi
+        off[2] = wrap(off[2])
         out[a:b] = compose(poses[k], way + np.linspace(0, 1, b - a, endpoint=False)[:, None] * off)
     return out

@@ -134,6 +134,7 @@ class _Drive:
         self._bias = self._straight()
         self._step = corrected(self._step, np.array([0.0, self._bias, 0.0]))
         self._correct()
+        self._information = self._odometry_information()
 
     def place(self, k: int) -> None:
         """Place the next piece."""
@@ -164,7 +165,7 @@ class _Drive:
             if share >= 1 or self._trust <= LEAST_TRUST:
                 return
             self._trust = max(self._trust * share, LEAST_TRUST)
-            self._correct()
+            self._information = self._odometry_information()
             self._solve(self.count)
 
     def edges(self, count: int) -> Edges:
@@ -195,7 +196,6 @@ class _Drive:
             change = self._between(self.parameters + small * np.eye(PARAMETERS)[k])[0] - between
             change[:, 2] = wrap(change[:, 2])
             self._by[:, :, k] = change / small
-        self._information = self._odometry_information()
 
     def _odometry_edges(self, count: int) -> Edges:
         """From each of the first so many pieces to the next."""
