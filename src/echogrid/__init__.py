@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from echogrid.mapping.registry import sensor_model
     from echogrid.metrics import score
     from echogrid.output.map_file import read_map, read_truth, write_map
+    from echogrid.planning.paths import NoPathError, Path, plan
     from echogrid.position.corrected import slam
     from echogrid.position.localise import Localiser, localise
     from echogrid.robot import Robot
@@ -36,11 +37,14 @@ _HOME = {
     "Localiser": "position.localise",
     "Log": "frame",
     "Mapper": "mapping.mapper",
+    "NoPathError": "planning.paths",
+    "Path": "planning.paths",
     "Robot": "robot",
     "World": "simulation.world",
     "build_map": "mapping.build",
     "load_log": "logs.formats",
     "localise": "position.localise",
+    "plan": "planning.paths",
     "read_map": "output.map_file",
     "read_truth": "output.map_file",
     "score": "metrics",
@@ -57,11 +61,14 @@ __all__ = [
     "Localiser",
     "Log",
     "Mapper",
+    "NoPathError",
+    "Path",
     "Robot",
     "World",
     "build_map",
     "load_log",
     "localise",
+    "plan",
     "read_map",
     "read_truth",
     "score",

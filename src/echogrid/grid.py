@@ -14,6 +14,10 @@ P_MIN, P_MAX = 0.02, 0.98
 """Read-out limits of a fused probability: no number of views makes a cell more certain than this, unless the model
 that fuses them knows better (``Grid.p_min``)."""
 
+OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.25
+"""A cell above the first is occupied to who drives by a map, one below the second free: the defaults of Nav2's
+map_saver."""
+
 MAX_CELLS = 400_000_000
 """A map beyond this (1.6 GB of log-odds) is a broken pose, not a building."""
 

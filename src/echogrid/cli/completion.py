@@ -59,7 +59,7 @@ def _options(kind: Any, prefix: str = "") -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for field in dataclasses.fields(kind):
         type_, marks = _stripped(field.type)
-        name = prefix + field.name.replace("_", "-")
+        name = prefix + field.name.rstrip("_").replace("_", "-")
         if dataclasses.is_dataclass(type_):
             found |= _options(type_, "" if "OmitArgPrefixes" in marks else f"{name}.")
         elif "Positional" not in marks:

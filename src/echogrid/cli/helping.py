@@ -29,6 +29,10 @@ echogrid map drive.csv --robot my-robot.yaml --out house
 echogrid localise drive.bag --map plan.yaml --start 1.5,2,90
 echogrid localise drive.csv --robot my-robot.yaml --map house --anywhere
 """,
+    "plan": """
+echogrid plan house --from 1,2 --to 6.5,3          # by the robot that mapped it
+echogrid plan plan.yaml --robot my-robot.yaml --from=-1.5,2 --to 6.5,3
+""",
     "info": """
 echogrid info drive.bag
 echogrid info drive.csv --robot p3dx

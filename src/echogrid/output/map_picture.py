@@ -27,18 +27,19 @@ def draw_map(
     path_world: Float[ndarray, "poses _"],
     title: str,
     odometry_world: Float[ndarray, "told _"] | None = None,
+    drive: str = "drive",
 ) -> None:
     """The picture for people, as PNG: what was observed of the map, the drive, and a key below.
 
-    Where poses were corrected the drive as the odometry had it is there too.
+    Where poses were corrected the drive as the odometry had it is there too. The key calls the line ``drive``.
     """
     # Without pyplot, which keeps figures in global state.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    drive, told = _places(path_world), _places(np.empty((0, 2)) if odometry_world is None else odometry_world)
+    way, told = _places(path_world), _places(np.empty((0, 2)) if odometry_world is None else odometry_world)
     image, *corners = _image(grid.observed_part() or grid)
-    boxes = [*corners, *_box(drive), *_box(told)]
+    boxes = [*corners, *_box(way), *_box(told)]
     low, high = np.min(boxes, axis=0), np.max(boxes, axis=0)
     margin = 0.03 * np.max(high - low)
     low, high = low - margin, high + margin
@@ -59,8 +60,8 @@ def draw_map(
     if len(told):
         # Below the drive and thinner: it is what the map was not made from.
         axes.plot(*line_of(told, near).T, color="tab:orange", lw=1.0, label="odometry")
-    if len(drive):
-        _draw_drive(axes, line_of(drive, near))
+    if len(way):
+        _draw_drive(axes, line_of(way, near), drive)
     _draw_key(figure, axes, shown, inch_per_m)
     with warnings.catch_warnings():
         # A title in a script that the font lacks is drawn as boxes; that is no reason to bother anyone.
@@ -108,8 +109,8 @@ def _box(points: Float[ndarray, "n 2"]) -> list[Float[ndarray, "2"]]:
     return [points.min(axis=0), points.max(axis=0)] if len(points) else []
 
 
-def _draw_drive(axes: "Axes", drive: Float[ndarray, "poses 2"]) -> None:
-    axes.plot(*drive.T, color="tab:blue", lw=1.5, label="drive")
+def _draw_drive(axes: "Axes", drive: Float[ndarray, "poses 2"], label: str) -> None:
+    axes.plot(*drive.T, color="tab:blue", lw=1.5, label=label)
     # The end is smaller than the start, so that a drive that returns shows both.
     axes.plot(*drive[0], "o", color="tab:green", mec="white", ms=11, label="start")
     axes.plot(*drive[-1], "s", color="tab:red", mec="white", ms=6, label="end")

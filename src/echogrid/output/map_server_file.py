@@ -13,11 +13,8 @@ from numpy import ndarray
 
 from echogrid.errors import InputError
 from echogrid.files import read_bytes
-from echogrid.grid import MAX_FILE_BYTES, P_MAX, P_MIN, Grid, logit
+from echogrid.grid import FREE_THRESH, MAX_FILE_BYTES, OCCUPIED_THRESH, P_MAX, P_MIN, Grid, logit
 from echogrid.yaml_keys import Keys, as_number, parse_yaml
-
-OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.25
-"""A cell above the first is drawn occupied, one below the second free: the defaults of Nav2's map_saver."""
 
 YAML_FREE_THRESH = 0.196
 """``free_thresh`` of a trinary map.yaml. It divides *pixels*, not cells: the grey of an unknown cell, 205,

@@ -1,0 +1,111 @@
+"""What of a map a robot may drive on: how far each cell is from what is in the way, and what a metre in it costs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+from numpy import ndarray
+from scipy import ndimage
+
+from echogrid.errors import UsageError
+from echogrid.grid import FREE_THRESH, OCCUPIED_THRESH, Grid
+
+MARGIN_M = 0.03
+"""Kept between the footprint and what is occupied: maps, poses and drives are exact to some centimetres."""
+
+EASY_M, DEAR = 0.1, 1.0
+"""Room beside the robot comes to be worth e times less with each so many metres more; with none a metre costs 1 + so
+much."""
+
+UNKNOWN_COST = 30.0
+"""Of a metre in which the footprint covers ground that is not known, where such may be driven on."""
+
+MOST_CELLS = 25_000_000
+"""Of a map that is planned on; it takes some 50 bytes a cell."""
+
+
+@dataclass(frozen=True)
+class Floor:
+    """The part of a map that was observed, with a rim of unknown cells, as a robot of some radius sees it."""
+
+    grid: Grid
+    radius_m: float
+    """Of the footprint, a disc."""
+
+    @staticmethod
+    def of(grid: Grid, radius_m: float) -> "Floor":
+        """The floor of a map.
+
+        Raises:
+            UsageError: the map has no cell that is known to be free, or too many cells.
+        """
+        part = grid.observed_part()
+        if part is None or not np.any(part.observed & (part.probability() < FREE_THRESH)):
+            raise UsageError(f"plan: found a map without free cells, expected cells of p < {FREE_THRESH}")
+        if part.log_odds.size > MOST_CELLS:
+            found = f"{part.log_odds.size} cells"
+            raise UsageError(f"plan: found a map of {found}, expected at most {MOST_CELLS:.2g}; make them larger")
+        return Floor(part.part(np.array([-1, -1]), (part.shape[0] + 2, part.shape[1] + 2)), radius_m)
+
+    @cached_property
+    def occupied(self) -> Bool[ndarray, "rows cols"]:
+        """Cells that were observed and have p > OCCUPIED_THRESH."""
+        return self.grid.observed & (self.grid.probability() > OCCUPIED_THRESH)
+
+    @cached_property
+    def free(self) -> Bool[ndarray, "rows cols"]:
+        """Cells that were observed and have p < FREE_THRESH; what is neither free nor occupied is unknown."""
+        return self.grid.observed & (self.grid.probability() < FREE_THRESH)
+
+    @cached_property
+    def gap_m(self) -> Float[ndarray, "rows cols"]:
+        """From the middle of each cell to the nearest side of one that is occupied, m; 0 in one, inf without any."""
+        return _gap(self.occupied, self.grid.resolution)
+
+    @cached_property
+    def known_m(self) -> Float[ndarray, "rows cols"]:
+        """Likewise to the nearest cell that is not known to be free."""
+        return _gap(~self.free, self.grid.resolution)
+
+    @property
+    def body_m(self) -> float:
+        """What the robot's middle keeps from what is in its way, m."""
+        return self.radius_m + MARGIN_M
+
+    def costs(self, unknown: bool = False) -> Float32[ndarray, "rows cols"]:
+        """What a metre costs the robot's middle in each cell; inf where it cannot be.
+
+        It keeps its footprint and MARGIN_M from all that is occupied, and the footprint from what is unknown; the
+        less room is beside it, the dearer.
+
+        Args:
+            unknown: whether the footprint may cover what is unknown, at UNKNOWN_COST a metre.
+        """
+        blocked = self.gap_m < self.body_m
+        beside = np.minimum(self.gap_m - self.body_m, self.known_m - self.radius_m)
+        cost = 1 + DEAR * np.exp(-np.maximum(beside, 0) / EASY_M)
+        over = self.known_m < self.radius_m
+        return np.where(blocked, np.inf, np.where(over, UNKNOWN_COST if unknown else np.inf, cost)).astype(np.float32)
+
+    def cell(self, p_map: Float[ndarray, "2"] | Sequence[float]) -> tuple[int, int] | None:
+        """The cell [row, col] that holds a point, m; None outside."""
+        row, col = self.grid.index_of(np.asarray(p_map, float)).tolist()
+        rows, cols = self.grid.shape
+        return (row, col) if 0 <= row < rows and 0 <= col < cols else None
+
+    def nearest(self, among: Bool[ndarray, "rows cols"], p_map: Float[ndarray, "2"]) -> tuple[int, int] | None:
+        """Of some cells the one whose middle is nearest to a point, m; None of none."""
+        cells: Int[ndarray, "n 2"] = np.argwhere(among)
+        if not len(cells):
+            return None
+        row, col = cells[np.argmin(np.linalg.norm(self.grid.centre_of(cells) - p_map, axis=1))].tolist()
+        return row, col
+
+
+def _gap(cells: Bool[ndarray, "rows cols"], resolution: float) -> Float[ndarray, "rows cols"]:
+    """From the middle of each cell to the nearest of some, m: half a cell less than between their middles."""
+    if not cells.any():
+        return np.full(cells.shape, np.inf)
+    return np.maximum(np.asarray(ndimage.distance_transform_edt(~cells)) - 0.5, 0) * resolution

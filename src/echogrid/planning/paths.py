@@ -1,0 +1,316 @@
+"""Paths on a map: the shortest safe one from a place to another, or why there is none."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import hypot, inf, sqrt
+
+import numpy as np
+from jaxtyping import Float, Float32, Int
+from numpy import ndarray
+from scipy import ndimage
+
+from echogrid import _core
+from echogrid.errors import UsageError
+from echogrid.grid import Grid
+from echogrid.limits import MOST_M, as_reals
+from echogrid.planning.clearance import Floor
+from echogrid.robot import Robot
+from echogrid.yaml_keys import shown
+
+STEP_M = 0.05
+"""Between the points of a path, at most."""
+
+OFF_M = 0.1
+"""A start or goal so little off what the robot can stand on is moved there: maps and poses are not exact."""
+
+_NODES = 64
+"""Points of a way between which straight lines are tried."""
+
+_ROUNDS = 40
+"""How often corners are rounded."""
+
+
+class NoPathError(UsageError):
+    """There is no path; the text says why, and how near to the goal the robot gets."""
+
+
+@dataclass(frozen=True)
+class Path:
+    """A way for the robot's middle."""
+
+    points: Float[ndarray, "n 2"]
+    """x, y in the frame of the map, m, from the start to the goal."""
+    clearance_m: Float[ndarray, "n"]
+    """Room between the footprint there and the nearest cell that is not known to be free; below 0: it covers such."""
+
+    @property
+    def s_m(self) -> Float[ndarray, "n"]:
+        """Way from the start to each point."""
+        return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1)))
+
+    @property
+    def length_m(self) -> float:
+        """Of the whole way."""
+        return float(self.s_m[-1])
+
+    def __repr__(self) -> str:
+        (x0, y0), (x1, y1) = self.points[[0, -1]].tolist()
+        least = float(np.min(self.clearance_m))
+        return f"Path({self.length_m:.2f} m from ({x0:g}, {y0:g}) to ({x1:g}, {y1:g}), {least:.2f} m beside it)"
+
+
+Point = Float[ndarray, "2"] | Sequence[float]
+
+
+def plan(grid: Grid, start: Point, goal: Point, robot: Robot, unknown: bool = False) -> Path:
+    """The shortest safe path on a map, one that keeps its distance where there is room for it.
+
+    Cells that were observed are occupied above p = 0.65 and free below 0.25, as by Nav2's defaults; all others are
+    unknown. A map_server pair is read by its own thresholds (``read_map``). The footprint is a disc; it stays 3 cm
+    from what is occupied, and on what is free.
+
+    Args:
+        grid: the map.
+        start: x, y of the robot's middle, m, in the frame of the map.
+        goal: where it is to go, likewise.
+        robot: for its footprint.
+        unknown: whether it may drive on what is unknown, at 30 times the way.
+
+    Raises:
+        NoPathError: there is none, and why.
+        UsageError: no such points, or a map without free cells or with too many.
+    """
+    ends = _ends(start, goal)
+    floor = Floor.of(grid, robot.footprint_radius_m)
+    costs = floor.costs(unknown)
+    first, last = (_standing(floor, costs, p, what) for p, what in zip(ends, ("start", "goal"), strict=True))
+    to_go = _core.cost_to_go(costs, np.array([last], np.int64), grid.resolution)
+    if not np.isfinite(to_go[first]):
+        raise NoPathError(f"plan: {_no_way(floor, costs, unknown, first, last)}")
+    return path_along(floor, costs, to_go, first, ends)
+
+
+def path_along(
+    floor: Floor,
+    costs: Float32[ndarray, "rows cols"],
+    to_go: Float[ndarray, "rows cols"],
+    first: tuple[int, int],
+    ends: Float[ndarray, "2 2"] | None = None,
+) -> Path:
+    """The path that goes down a field of costs to its goal, smoothed.
+
+    Args:
+        floor: what it is on.
+        costs: of a metre in each cell, as of ``Floor.costs``.
+        to_go: as of ``_core.cost_to_go`` with them; finite in the first cell.
+        first: cell [row, col] where it begins.
+        ends: start and goal, m; the path begins and ends there where these are in cells that are open.
+    """
+    cells = _down(to_go, costs, first)
+    points = floor.grid.centre_of(cells)
+    for end, p in zip((0, -1), ends if ends is not None else (), strict=False):
+        if floor.cell(p) == tuple(cells[end].tolist()):
+            points[end] = p
+    points = _rounded(_spaced(_straightened(points, to_go[tuple(cells.T)], floor, costs)), floor, costs)
+    row, col = floor.grid.index_of(points).T
+    return Path(points, floor.known_m[row, col] - floor.radius_m)
+
+
+def _ends(start: Point, goal: Point) -> Float[ndarray, "2 2"]:
+    ends = []
+    for what, value in (("start", start), ("goal", goal)):
+        p = as_reals(value)
+        if p is None or p.shape != (2,) or not np.all(np.abs(p) <= MOST_M):
+            raise UsageError(f"plan: {what}: found {shown(value)}, expected x, y in m")
+        ends.append(p)
+    return np.array(ends)
+
+
+def _standing(
+    floor: Floor, costs: Float32[ndarray, "rows cols"], p: Float[ndarray, "2"], what: str
+) -> tuple[int, int]:
+    """The cell in which the robot can stand nearest to a point, or a NoPathError that says why it cannot."""
+    open_ = np.isfinite(costs)
+    cell = floor.cell(p)
+    if cell is not None and open_[cell]:
+        return cell
+    near = floor.nearest(open_, p)
+    off = inf if near is None else float(np.linalg.norm(floor.grid.centre_of(np.array(near)) - p))
+    if near is not None and off <= OFF_M + floor.grid.resolution:
+        return near
+    stands = "nowhere" if near is None else f"{off:.2f} m off, at {_told(floor, near)}"
+    found = f"found {_why_not(floor, cell)}, expected free floor for a footprint of {floor.radius_m:g} m"
+    raise NoPathError(f"plan: {what} {_place(p)}: {found}; the nearest place to stand is {stands}")
+
+
+def _why_not(floor: Floor, cell: tuple[int, int] | None) -> str:
+    """What is wrong with a cell for the robot to stand in."""
+    if cell is None:
+        (x, y), (rows, cols), size = floor.grid.origin, floor.grid.shape, floor.grid.resolution
+        spans = f"x {x:.2f} to {x + cols * size:.2f}, y {y:.2f} to {y + rows * size:.2f} m"
+        return f"a place outside of what was mapped ({spans})"
+    if floor.occupied[cell]:
+        return "what is occupied, a wall as a rule"
+    if not floor.free[cell]:
+        return "ground that is not known"
+    near, what = floor.gap_m[cell], "something occupied"
+    if near >= floor.body_m:
+        near, what = floor.known_m[cell], "unknown ground"
+    return f"{what} {near:.2f} m off"
+
+
+def _no_way(
+    floor: Floor, costs: Float32[ndarray, "rows cols"], unknown: bool, first: tuple[int, int], last: tuple[int, int]
+) -> str:
+    """Why no way leads from one open cell to another."""
+    reached = np.isfinite(_core.cost_to_go(costs, np.array([first], np.int64), floor.grid.resolution))
+    goal = floor.grid.centre_of(np.array(last))
+    near = floor.nearest(reached, goal)
+    assert near is not None
+    off = float(np.linalg.norm(floor.grid.centre_of(np.array(near)) - goal))
+    wide, narrow = _widest(floor.gap_m if unknown else floor.known_m, first, last)
+    lacks = f"the widest way there is {2 * wide:.2f} m wide, at {_told(floor, narrow)}"
+    lacks = lacks if wide > 0 else "walls, or what is unknown, are all round it"
+    needs = 2 * (floor.body_m if unknown else floor.radius_m)
+    return (
+        f"found no way to {_place(goal)}: {lacks}, expected {needs:.2f} m; "
+        f"the robot gets within {off:.2f} m of it, at {_told(floor, near)}"
+    )
+
+
+def _widest(
+    room_m: Float[ndarray, "rows cols"], first: tuple[int, int], last: tuple[int, int]
+) -> tuple[float, tuple[int, int]]:
+    """Half the width (m) of the widest way between two cells, 0 without any, and the cell where it is narrowest."""
+    levels = np.unique(room_m[room_m > 0])
+    low, high = 0, len(levels)
+    while low < high:  # the first width at which they are no longer joined
+        middle = (low + high) // 2
+        piece, _ = ndimage.label(room_m >= levels[middle])
+        joined = piece[first] and piece[first] == piece[last]
+        low, high = (middle + 1, high) if joined else (low, middle)
+    if not low:
+        return 0.0, first
+    wide = levels[low - 1]
+    costs = np.where(room_m >= wide, 1, np.inf).astype(np.float32)
+    to_go = _core.cost_to_go(costs, np.array([last], np.int64), 1.0)
+    cells = _down(to_go, costs, first)
+    row, col = cells[np.argmin(room_m[tuple(cells.T)])].tolist()
+    return float(wide), (row, col)
+
+
+def _place(p: Float[ndarray, "2"]) -> str:
+    return f"({p[0]:.2f}, {p[1]:.2f}) m"
+
+
+def _told(floor: Floor, cell: tuple[int, int]) -> str:
+    return _place(floor.grid.centre_of(np.array(cell)))
+
+
+_STEPS = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)])
+
+
+def _down(
+    to_go: Float[ndarray, "rows cols"], costs: Float32[ndarray, "rows cols"], first: tuple[int, int]
+) -> Int[ndarray, "n 2"]:
+    """Cells from the first to a goal, each the one after which least is to go."""
+    rows, cols = costs.shape
+    row, col = first
+    cells = [(row, col)]
+    while to_go[row, col] > 0:
+        best, there = inf, (row, col)
+        here = float(costs[row, col])
+        for i, j in _STEPS.tolist():
+            r, c = row + i, col + j
+            if not (0 <= r < rows and 0 <= c < cols) or to_go[r, c] >= to_go[row, col]:
+                continue
+            if i and j and not (np.isfinite(costs[r, col]) and np.isfinite(costs[row, c])):
+                continue
+            through = float(to_go[r, c]) + (sqrt(2) if i and j else 1.0) * (here + float(costs[r, c])) / 2
+            if through < best:
+                best, there = through, (r, c)
+        if there == (row, col):
+            break
+        row, col = there
+        cells.append(there)
+    return np.array(cells)
+
+
+def _straightened(
+    points: Float[ndarray, "n 2"],
+    to_go: Float[ndarray, "n"],
+    floor: Floor,
+    costs: Float32[ndarray, "rows cols"],
+) -> Float[ndarray, "m 2"]:
+    """The cheapest way along some of the points by straight lines, or as it was where none is cheaper."""
+    nodes = np.unique(np.linspace(0, len(points) - 1, min(len(points), _NODES)).round().astype(int))
+    count = len(nodes)
+    if count < 2:
+        return points
+    i, j = np.triu_indices(count, 1)
+    price = np.full((count, count), np.inf)
+    price[i, j] = _line_costs(points[nodes[i]], points[nodes[j]], floor, costs)
+    along = to_go[nodes[:-1]] - to_go[nodes[1:]]
+    best, before, straight = np.full(count, np.inf), np.zeros(count, int), np.zeros(count, bool)
+    best[0] = 0
+    for k in range(1, count):
+        through = best[:k] + price[:k, k]
+        before[k], straight[k] = int(np.argmin(through)), True
+        best[k] = through[before[k]]
+        if best[k - 1] + along[k - 1] < best[k] - 1e-9:
+            best[k], before[k], straight[k] = best[k - 1] + along[k - 1], k - 1, False
+    way, k = [points[nodes[-1]][None]], count - 1
+    while k > 0:
+        a = before[k]
+        way.append(points[nodes[a]][None] if straight[k] else points[nodes[a] : nodes[k]])
+        k = a
+    return np.concatenate(way[::-1])
+
+
+def _line_costs(
+    a: Float[ndarray, "n 2"], b: Float[ndarray, "n 2"], floor: Floor, costs: Float32[ndarray, "rows cols"]
+) -> Float[ndarray, "n"]:
+    """What straight lines between points (m) cost; inf where one meets a closed cell."""
+    length = np.linalg.norm(b - a, axis=1)
+    counts = np.ceil(2 * length / floor.grid.resolution).astype(int) + 1
+    line = np.repeat(np.arange(len(a)), counts)
+    first = np.cumsum(counts) - counts
+    share = (np.arange(len(line)) - first[line] + 0.5) / counts[line]
+    row, col = floor.grid.index_of(a[line] + share[:, None] * (b - a)[line]).T
+    return np.add.reduceat(costs[row, col].astype(float), first) / counts * length
+
+
+def _spaced(points: Float[ndarray, "n 2"]) -> Float[ndarray, "m 2"]:
+    """Points on the same line, STEP_M apart at most, the corners among them."""
+    if len(points) < 2:
+        return points
+    way = [points[:1]]
+    for a, b in pairwise(points):
+        parts = max(1, int(np.ceil(hypot(*(b - a)) / STEP_M - 1e-9)))
+        way.append(a + (np.arange(1, parts + 1) / parts)[:, None] * (b - a))
+    return np.concatenate(way)
+
+
+def _rounded(
+    points: Float[ndarray, "n 2"], floor: Floor, costs: Float32[ndarray, "rows cols"]
+) -> Float[ndarray, "n 2"]:
+    """The points with corners rounded, none moved to where a metre costs more than the dearest beside it."""
+    points = points.copy()
+    for _ in range(_ROUNDS if len(points) > 2 else 0):
+        for half in (1, 2):  # points whose neighbours stay
+            inner = slice(half, -1, 2)
+            if not len(points[inner]):
+                continue
+            count = len(points[inner])
+            before, after = points[half - 1 :: 2][:count], points[half + 1 :: 2][:count]
+            moved = 0.5 * points[inner] + 0.25 * (before + after)
+            now, then, *beside = (_at(p, floor, costs) for p in (points[inner], moved, before, after))
+            fine = then <= np.maximum(now, np.minimum(*beside)) + 1e-6
+            points[inner] = np.where(fine[:, None], moved, points[inner])
+    return points
+
+
+def _at(p: Float[ndarray, "n 2"], floor: Floor, costs: Float32[ndarray, "rows cols"]) -> Float32[ndarray, "n"]:
+    row, col = floor.grid.index_of(p).T
+    return costs[row, col]

@@ -1,0 +1,87 @@
+"""``echogrid plan``: a map and two places in, a path or one line out."""
+
+import numpy as np
+import pytest
+
+from commands import assert_refused, call, put
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory):
+    """The sample's own map."""
+    folder = tmp_path_factory.mktemp("house")
+    assert call("map", "--out", folder) == 0
+    return folder
+
+
+def table(path):
+    assert path.read_text().startswith("x,y,s,clearance\n")
+    return np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+
+
+def test_a_path_is_written_and_told(run, house, tmp_path):
+    out = tmp_path / "way"
+    status, said, noted = run("plan", house, "--from", "1,1", "--to", "4,4", "--out", out)
+    assert (status, noted) == (0, "")
+    assert {path.name for path in out.iterdir()} == {"path.csv", "path.png"}
+    x, y, s, clearance = table(out / "path.csv").T
+    np.testing.assert_allclose([x[0], y[0], x[-1], y[-1]], [1, 1, 4, 4], atol=0.03)
+    np.testing.assert_allclose(s, np.append(0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))), atol=0.005)
+    assert np.min(clearance) >= 0
+    assert f"{s[-1]:.2f} m" in said
+    assert (out / "path.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_robot_of_the_map_is_that_which_made_it_unless_another_is_named(run, house, tmp_path):
+    lengths = []
+    for robot in ([], ["--robot", "b21"], ["--robot", "robuter2"]):
+        assert run("plan", house, "--from", "1,1", "--to", "2.2,1", *robot, "--out", tmp_path)[0] == 0
+        lengths.append(table(tmp_path / "path.csv")[:, 3].min())
+    assert lengths[0] == lengths[1]
+    assert lengths[2] < lengths[0]
+
+
+def test_a_pair_that_anybody_drew(run, place):
+    pixels = np.full((40, 60), 254, np.uint8)
+    pixels[[0, -1]] = pixels[:, [0, -1]] = 0
+    pixels[:, 30] = 205
+    pixels[10:30, 30] = 254
+    put(place / "plan.pgm", b"P5\n60 40\n255\n" + pixels.tobytes())
+    put(place / "plan.yaml", "image: plan.pgm\nresolution: 0.1\norigin: [-3, -2, 0]\nnegate: 0\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.196\n")  # fmt: skip
+    status, said, _ = run("plan", "plan.yaml", "--robot", "duo.yaml", "--from=-2,-1", "--to", "2,1", "--out", "way")
+    assert status == 0, said
+    assert table(place / "way" / "path.csv")[-1, 2] == pytest.approx(np.hypot(4, 2), rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--from", "1"], "--from: found 1, expected X,Y in metres"),
+        (["--from", "1,nan"], "--from: found 1,nan, expected"),
+        (["--to", "a,b"], "--to: found a,b, expected"),
+        (["--to", "3,2"], "plan: goal (3.00, 2.00) m: found what is occupied"),
+        (["--to", "90,2"], "plan: goal (90.00, 2.00) m: found a place outside of what was mapped"),
+        (["--robot", "b22"], "robot: found b22"),
+        (["--out", "file"], "file: found a file, expected a folder"),
+        (["MAP", "nowhere"], "nowhere: found no such file"),
+        (["MAP", "duo.yaml", "--robot", "b21"], "duo.yaml: resolution: found nothing"),
+    ],
+)
+def test_what_cannot_be_is_one_line(run, house, place, arguments, line):
+    given = dict(zip(arguments[::2], arguments[1::2], strict=True))
+    options = {"--from": "1,1", "--to": "2,1", "--out": "way"} | {k: v for k, v in given.items() if k != "MAP"}
+    words = [word for pair in options.items() for word in pair]
+    assert line in assert_refused(run, place, "plan", given.get("MAP", house), *words)
+
+
+def test_a_robot_wider_than_every_door_and_a_map_without_its_robot(run, house, place):
+    put(place / "wide.yaml", "name: wide\nfootprint_radius_m: 0.9\nmounts: [[0.1, 0, 0]]\n"
+        "sonar: {transducer: polaroid-600, min_range_m: 0.2, max_range_m: 4.0, beam_width_deg: 25}\n")  # fmt: skip
+    line = assert_refused(run, place, "plan", house, "--robot", "wide.yaml", "--from", "1,1", "--to", "4,4")
+    assert "the nearest place to stand is " in line
+    alone = place / "alone.npz"
+    put(alone, (house / "map.npz").read_bytes())
+    line = assert_refused(run, place, "plan", alone, "--from", "1,1", "--to", "2,1")
+    assert "--robot: found none, and no robot in " in line
+    assert "run.yaml, expected a preset or a robot file" in line
