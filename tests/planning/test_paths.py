@@ -45,6 +45,11 @@ def parted(door=None, at=3.0, wall=0.95):
     return p
 
 
+def between(grid, ends):
+    start, goal = ends
+    return plan(grid, start, goal, B21)
+
+
 def covered(grid, path, of):
     """Whether the footprint comes within its radius of the middle of some cells, along a path."""
     middles = grid.centre_of(np.argwhere(of))
@@ -92,7 +97,7 @@ def test_no_path_covers_what_is_occupied_or_unknown(seed):
     grid = grid_of(p, origin=(-1.0, 2.0))
     ends = rng.uniform([-0.6, 2.4], [4.6, 5.6], (2, 2))
     try:
-        path = plan(grid, *ends, B21)
+        path = between(grid, ends)
     except NoPathError:
         return
     classes = occupancy(grid)
@@ -121,24 +126,24 @@ def test_a_way_is_there_where_an_independent_search_finds_one(seed):
     if not (piece[a] and piece[b]):
         return
     if piece[a] == piece[b]:
-        assert plan(grid, *ends, B21).length_m >= math.dist(*ends) - 1e-6
+        assert between(grid, ends).length_m >= math.dist(*ends) - 1e-6
     else:
         with pytest.raises(NoPathError, match="no way to"):
-            plan(grid, *ends, B21)
+            between(grid, ends)
 
 
 @pytest.mark.parametrize("change", ["back", "mirrored", "moved", "upright"])
 def test_a_path_does_not_depend_on_where_the_map_lies(change):
     p, ends = parted(door=0.9), [np.array([1.0, 0.8]), np.array([5.1, 3.1])]
-    length = plan(grid_of(p), *ends, B21).length_m
+    length = between(grid_of(p), ends).length_m
     if change == "back":
-        other = plan(grid_of(p), *ends[::-1], B21)
+        other = between(grid_of(p), ends[::-1])
     elif change == "mirrored":
-        other = plan(grid_of(p[:, ::-1]), *(np.array([6.0, 0]) + end * [-1, 1] for end in ends), B21)
+        other = between(grid_of(p[:, ::-1]), [np.array([6.0, 0]) + end * [-1, 1] for end in ends])
     elif change == "moved":
-        other = plan(grid_of(p, (-20.0, 7.0)), *(end + [-20.0, 7.0] for end in ends), B21)
+        other = between(grid_of(p, (-20.0, 7.0)), [end + np.array([-20.0, 7.0]) for end in ends])
     else:
-        other = plan(grid_of(p.T), *(end[::-1] for end in ends), B21)
+        other = between(grid_of(p.T), [end[::-1] for end in ends])
     assert other.length_m == pytest.approx(length, rel=0.02)
 
 
