@@ -10,7 +10,7 @@ using namespace echogrid;
 
 constexpr double AT_M = 1.2;  // sonars are near whose axes point nearest to a bearing's point at this distance
 constexpr double TURN = 6.28318530717958648;
-constexpr double TIE_RAD = 1e-5;  // a sonar that looks so nearly along a bearing has it on its left
+constexpr double TIE_RAD = 1e-5;  // a sonar that looks so nearly along a bearing, or away from it, has it on its left
 constexpr double NEIGHBOUR_RAD = 0.35;
 constexpr float LOOK_COS = 0.866025404F;          // a sonar looks at what lies within 30 degrees of its axis,
 constexpr double CONE_SIN = 0.70710678118654752;  // and tells of nothing farther than 45 degrees off it
@@ -99,6 +99,9 @@ inline void tell_ends(const Asked& asked, const SetRobot& robot, const Bearings&
     }
 }
 
+// An axis in [-half a turn, half a turn), whatever rounding makes of one that looks away from the bearing.
+inline Doubles on_the_right(Doubles axis) { return axis > TURN / 2 - TIE_RAD ? axis - TURN : axis; }
+
 // Axes and places of the sonars as seen along bearings.
 inline void look_along(const Asked& asked, const SetRobot& robot, const Bearings& bearings, int b, SetArray& array) {
     const Doubles cos = loaded<Doubles>(&bearings.cos[b]), sin = loaded<Doubles>(&bearings.sin[b]);
@@ -109,15 +112,14 @@ inline void look_along(const Asked& asked, const SetRobot& robot, const Bearings
         const Longs there = asked.sonar[k] >= 0;
         const Doubles x = asked.x[k], y = asked.y[k];
         const Doubles ahead = cos * x + sin * y, aside = cos * y - sin * x;
-        // Of a sonar that looks the opposite way float32 decides whether that is half a turn or minus half a turn.
-        const Doubles axis = wrapped(__builtin_convertvector(narrowed(asked.axis[k] - bearing), Doubles));
+        const Doubles axis = on_the_right(wrapped(asked.axis[k] - bearing));
         if (k == 0) {
             const Doubles off = angle_of(-aside, AT_M - ahead) - axis;
             sign = off < -TIE_RAD ? Doubles{} - 1.0 : Doubles{} + 1.0;
         }
         const Doubles axis_sin = asked.sin[k] * cos - asked.cos[k] * sin;
         const Doubles axis_cos = asked.cos[k] * cos + asked.sin[k] * sin;
-        store(&array.axis[k][b], narrowed(there ? sign * axis : Doubles{}));
+        store(&array.axis[k][b], narrowed(there ? on_the_right(sign * axis) : Doubles{}));
         store(&array.axis_sin[k][b], narrowed(there ? sign * axis_sin : Doubles{}));
         store(&array.axis_cos[k][b], narrowed(there ? axis_cos : Doubles{} + 1.0));
         store(&array.ahead[k][b], narrowed(there ? ahead : Doubles{}));

@@ -42,12 +42,11 @@ def seen(robot: Robot) -> Seen:
     there = sonar >= 0
     x, y, axis = np.moveaxis(robot.mounts[sonar], -1, 0)
     ahead, aside = np.cos(bearing) * x + np.sin(bearing) * y, np.cos(bearing) * y - np.sin(bearing) * x
-    # Of a sonar that looks the opposite way single precision decides on which side that is, as in the core.
-    axis = wrap((axis - bearing).astype(np.float32).astype(float))
+    axis = _on_the_right(wrap(axis - bearing))
     off = np.arctan2(-aside[:, :1], AT_M - ahead[:, :1]) - axis[:, :1]
     sign = np.where(off < -TIE_RAD, -1.0, 1.0)
     axis, ahead, aside = (
-        np.where(there, each, 0.0).astype(np.float32) for each in (sign * axis, ahead, sign * aside)
+        np.where(there, each, 0.0).astype(np.float32) for each in (_on_the_right(sign * axis), ahead, sign * aside)
     )
     ends = ends_within(robot.mounts, robot.max_ranges_m)
     reach = np.where(there, robot.max_ranges_m[sonar], -1.0) if ends else np.where(there, np.inf, -1.0)
@@ -56,6 +55,11 @@ def seen(robot: Robot) -> Seen:
         leaves = [_leaves(robot.mounts[sonar], reach, bearing + k * 2 * np.pi / BEARINGS) for k in (-1, 0, 1)]
         before, after = (np.where(there, np.minimum(*leaves[k : k + 2]), 0.0).astype(np.float32) for k in (0, 1))
     return Seen(sonar, axis, ahead, aside, *_rings(axis, ahead, aside, reach), after, before)
+
+
+def _on_the_right(axis: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
+    """An axis in [-half a turn, half a turn), whatever rounding makes of one that looks away from the bearing."""
+    return np.where(axis > np.pi - TIE_RAD, axis - 2 * np.pi, axis)
 
 
 def _rings(

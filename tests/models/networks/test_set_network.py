@@ -193,6 +193,17 @@ def test_a_robot_whose_frame_is_turned_by_steps_of_the_table_says_the_same_turne
     assert clear.mean() > 0.8
 
 
+CROSS = np.array([[0.1, 0, 0], [0, 0.1, pi / 2], [-0.1, 0, pi], [0, -0.1, -pi / 2]])
+"""Along each of four bearings one looks, and another looks away from it."""
+
+
+@pytest.mark.parametrize("angle", [pi / 2, pi, -pi / 2, 2 * pi, 1e-7, -1e-7])
+def test_on_which_side_a_sonar_lies_that_looks_away_from_a_bearing_is_not_decided_by_rounding(angle):
+    ranges = random_scans(4)
+    said = np.roll(table(turned(CROSS, angle), ranges), -round(angle / STEP_RAD), axis=1)
+    np.testing.assert_allclose(said, table(CROSS, ranges), atol=1e-4)
+
+
 @pytest.mark.parametrize("sonars", ARRAYS)
 def test_the_mirrored_array_says_of_mirrored_readings_the_mirrored(sonars):
     mounts, ranges = ARRAYS[sonars], random_scans(sonars)

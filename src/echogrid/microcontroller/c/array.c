@@ -75,15 +75,8 @@ static void look_at(struct token* t, float cos, float sin, float range, int ends
     }
 }
 
-/* An axis relative to a bearing. Of a sonar that looks the opposite way half a turn too much is half a turn the other
- * way round, as in the tables for sonars at their own mounts. */
-static float axis_along(float angle) {
-    const float axis = wrapped(angle);
-    if (magnitude(axis) < PI - 2e-6f) {
-        return axis;
-    }
-    return angle < 0.0f ? magnitude(axis) : -magnitude(axis);
-}
+/* An axis in [-PI, PI), whatever rounding makes of one that looks away from the bearing. */
+static float on_the_right(float axis) { return axis > PI - TIE_RAD ? axis - 2.0f * PI : axis; }
 
 /* The tokens of a bearing; ends: whether what sonars tell ends within the local map. */
 static void seen_from(const struct mount mounts[ECHOGRID_SONARS], int bearing, int ends,
@@ -99,14 +92,14 @@ static void seen_from(const struct mount mounts[ECHOGRID_SONARS], int bearing, i
             continue;
         }
         const struct mount* const m = &mounts[found[k]];
-        const float axis = axis_along(m->axis - angle), aside = cos * m->y - sin * m->x;
+        const float axis = on_the_right(wrapped(m->axis - angle)), aside = cos * m->y - sin * m->x;
         t->sonar = found[k];
         t->ahead = cos * m->x + sin * m->y;
         if (k == 0) {
             /* Turned so that the nearest has the bearing on its left. */
             sign = bearing_of(-aside, AT_M - t->ahead) - axis < -TIE_RAD ? -1.0f : 1.0f;
         }
-        t->axis = sign * axis;
+        t->axis = on_the_right(sign * axis);
         t->aside = sign * aside;
         look_at(t, cosine(t->axis), sine(t->axis), MAX_RANGE[t->sonar], ends);
 #if ENDS

@@ -44,16 +44,22 @@ class Tokens(NamedTuple):
 def along(mounts, bearing):
     """Axes and places of sonars (first axis) as seen along bearings: axis, ahead, aside of ``Tokens``.
 
-    Turned so that the nearest has the bearing on its left: a mirrored scene is the same scene.
+    Turned so that the nearest has the bearing on its left: a mirrored scene is the same scene. Of a sonar that looks
+    away from the bearing the axis is minus half a turn.
     """
     cos, sin = jnp.cos(bearing), jnp.sin(bearing)
     x, y, axis = mounts
     ahead, aside = cos * x + sin * y, cos * y - sin * x
     axis = axis - bearing
-    axis = jnp.arctan2(jnp.sin(axis), jnp.cos(axis))
+    axis = _on_the_right(jnp.arctan2(jnp.sin(axis), jnp.cos(axis)))
     off = jnp.arctan2(-aside[0], AT_M - ahead[0]) - axis[0]
     sign = jnp.where(off < -TIE_RAD, -1.0, 1.0)
-    return sign * axis, ahead, sign * aside
+    return _on_the_right(sign * axis), ahead, sign * aside
+
+
+def _on_the_right(axis):
+    """An axis in [-half a turn, half a turn), whatever rounding makes of one that looks away from the bearing."""
+    return jnp.where(axis > jnp.pi - TIE_RAD, axis - 2 * jnp.pi, axis)
 
 
 def _compared(t: Tokens, place, fired):

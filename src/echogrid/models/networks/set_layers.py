@@ -24,7 +24,8 @@ AT_M = 1.2
 """The sonars of a bearing are those whose axes point nearest to its point at this distance from the robot."""
 
 TIE_RAD = 1e-5
-"""A sonar that looks so nearly along a bearing has it on its left, whatever rounding makes of it."""
+"""A sonar that looks so nearly along a bearing, or away from it, has it on its left, whatever rounding makes of
+it."""
 
 STEPS_M = np.array([-0.5, -0.2, -0.1, -0.05, 0.0, 0.05, 0.1, 0.2, 0.45])
 """Knots of the profile of an echo: distance beyond it. Before the first the profile is flat, at the last it is 0."""
