@@ -12,6 +12,7 @@
 #include <deque>
 #include <memory>
 #include <optional>
+#include <string>
 #include <tuple>
 #include <unordered_map>
 #include <utility>
@@ -26,11 +27,7 @@ namespace nb = nanobind;
 namespace echogrid {
 namespace {
 
-// Numbers are those of models/networks/memory.py, which says what they mean.
 constexpr double TURN = 6.28318530717958648;
-constexpr double PLACE_M = 0.1, TURN_RAD = 15.0 * (TURN / 360), SAME_M = 0.08, FADE = 0.95, PRIOR = 1e-3;
-constexpr double RECENT_M = 0.4, RECENT_RAD = 30.0 * (TURN / 360), RECENT_S = 2.0;
-constexpr size_t RECENT_FRAMES = 16;
 constexpr double MOST_CELLS = 1e15;  // of the lattice, as far as whole numbers are told apart
 
 using Array3 = nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
@@ -70,11 +67,26 @@ struct PlaceHash {
     }
 };
 
+void expect_positive(const char* what, double value) {
+    if (!(value > 0)) refuse(std::string(what) + ": found " + text(value) + ", expected more than 0");
+}
+
 class Memory {
    public:
-    Memory(const Array2<int32_t>& pairs, const Array1<double>& near, int sonars, std::optional<double> half_life)
-        : near_(near.data(), near.data() + near.size()), sonars_(std::max(sonars, 1)), half_life_(half_life) {
+    Memory(const Array2<int32_t>& pairs, const Array1<double>& near, int sonars, double place, double turn,
+           double far, double same, double fade, double prior, std::optional<double> half_life)
+        : near_(near.data(), near.data() + near.size()),
+          sonars_(std::max(sonars, 1)),
+          place_(place),
+          turn_(turn),
+          far_(far),
+          same_(same),
+          fade_(fade),
+          prior_(prior),
+          half_life_(half_life) {
         expect("pairs", pairs, {near.shape(0), 2});
+        expect_positive("place", place), expect_positive("turn", turn), expect_positive("far", far);
+        expect_positive("same", same), expect_positive("fade", fade), expect_positive("prior", prior);
         if (half_life && !(*half_life > 0)) refuse("half_life: found " + text(*half_life) + ", expected s > 0");
         for (size_t i = 0; i < near.shape(0); ++i) {
             const int32_t first = pairs.data()[2 * i], second = pairs.data()[2 * i + 1];
@@ -111,7 +123,7 @@ class Memory {
 
     // How often the robot has looked from a pose, this time included.
     double look(const double* pose, double stamp, double share) {
-        const double cells[3] = {pose[0] / PLACE_M, pose[1] / PLACE_M, not_negative(pose[2]) / TURN_RAD};
+        const double cells[3] = {pose[0] / place_, pose[1] / place_, not_negative(pose[2]) / turn_};
         Place place;
         for (size_t k = 0; k < 3; ++k) {
             if (!(std::abs(cells[k]) < MOST_CELLS)) refuse("poses: found " + text(pose[k]) + ", expected m and rad");
@@ -130,30 +142,30 @@ class Memory {
         reading_.resize(sonars);
         for (size_t s = 0; s < sonars; ++s) {
             const bool fired = !std::isnan(ranges[s]);
-            reading_[s] = fired ? std::min(ranges[s], double{FAR_M}) : 0.0;
+            reading_[s] = fired ? std::min(ranges[s], far_) : 0.0;
             counts[0] += fired;
             sums[0] += fired && std::isinf(ranges[s]);
             sums[3] += reading_[s];
         }
-        counts[3] = counts[0], sums[3] /= double{FAR_M};
+        counts[3] = counts[0], sums[3] /= far_;
         for (size_t i = 0; i < pairs_.size(); ++i) {
             const auto [first, second] = pairs_[i];
             if (std::isnan(ranges[first]) || std::isnan(ranges[second])) continue;
             const double apart = std::abs(reading_[first] - reading_[second]);
             counts[2] += near_[i], sums[2] += near_[i] * std::min(apart, 1.0);
             if (std::isinf(ranges[first]) || std::isinf(ranges[second])) continue;
-            counts[1] += near_[i], sums[1] += near_[i] * std::max(1 - apart / SAME_M, 0.0);
+            counts[1] += near_[i], sums[1] += near_[i] * std::max(1 - apart / same_, 0.0);
         }
         for (size_t k = 0; k < TRAITS; ++k) {
-            sums_[k] = FADE * sums_[k] + sums[k], counts_[k] = FADE * counts_[k] + counts[k];
-            traits[k] = static_cast<float>((sums_[k] + 0.5 * PRIOR) / (counts_[k] + PRIOR));
+            sums_[k] = fade_ * sums_[k] + sums[k], counts_[k] = fade_ * counts_[k] + counts[k];
+            traits[k] = static_cast<float>((sums_[k] + 0.5 * prior_) / (counts_[k] + prior_));
         }
         return counts[0];
     }
 
     std::vector<std::pair<size_t, size_t>> pairs_;
     std::vector<double> near_, reading_;
-    double sonars_;
+    double sonars_, place_, turn_, far_, same_, fade_, prior_;
     std::optional<double> half_life_;
     size_t least_sonars_ = 0;
     std::unordered_map<Place, Looks, PlaceHash> looks_;
@@ -162,8 +174,11 @@ class Memory {
 
 class Recent {
    public:
-    explicit Recent(const Array2<double>& mounts) : mounts_(mounts.data(), mounts.data() + mounts.size()) {
+    Recent(const Array2<double>& mounts, double way, double turn, double time, int scans)
+        : mounts_(mounts.data(), mounts.data() + mounts.size()), way_(way), turn_(turn), time_(time) {
         expect("mounts", mounts, {mounts.shape(0), 3});
+        expect_positive("scans", scans);
+        most_ = static_cast<size_t>(scans);
     }
 
     // See _core.pyi.
@@ -187,8 +202,8 @@ class Recent {
             const Pose here = pose_at(pose.data()).inverse();
             for (auto before = scans_.rbegin(); missing && before != scans_.rend(); ++before) {
                 const Pose moved = here.after(before->pose);
-                if (std::hypot(moved.x, moved.y) <= RECENT_M && std::abs(moved.heading) <= RECENT_RAD &&
-                    std::abs(stamp - before->stamp) <= RECENT_S)
+                if (std::hypot(moved.x, moved.y) <= way_ && std::abs(moved.heading) <= turn_ &&
+                    std::abs(stamp - before->stamp) <= time_)
                     missing -= fill_from(*before, moved);
             }
         }
@@ -228,7 +243,7 @@ class Recent {
 
     void remember(double stamp, const double* pose, const double* ranges, const double* mounts, size_t sonars) {
         Scan scan;
-        if (scans_.size() == RECENT_FRAMES) scan = std::move(scans_.front()), scans_.pop_front();
+        if (scans_.size() == most_) scan = std::move(scans_.front()), scans_.pop_front();
         scan.stamp = stamp, scan.pose = pose_at(pose);
         scan.ranges.assign(ranges, ranges + sonars);
         scan.mounts.assign(mounts, mounts ? mounts + 3 * sonars : mounts);
@@ -236,6 +251,8 @@ class Recent {
     }
 
     std::vector<double> mounts_, heard_, looked_;
+    double way_, turn_, time_;
+    size_t most_;
     std::deque<Scan> scans_;
 };
 
@@ -324,11 +341,14 @@ std::optional<std::tuple<int64_t, int64_t, int64_t, int64_t>> stand(const Array2
 
 void bind_drive(nb::module_& module) {
     nb::class_<Memory>(module, "Memory")
-        .def(nb::init<const Array2<int32_t>&, const Array1<double>&, int, std::optional<double>>(), nb::arg("pairs"),
-             nb::arg("near"), nb::arg("sonars"), nb::arg("half_life") = nb::none())
+        .def(nb::init<const Array2<int32_t>&, const Array1<double>&, int, double, double, double, double, double,
+                      double, std::optional<double>>(),
+             nb::arg("pairs"), nb::arg("near"), nb::arg("sonars"), nb::arg("place"), nb::arg("turn"), nb::arg("far"),
+             nb::arg("same"), nb::arg("fade"), nb::arg("prior"), nb::arg("half_life") = nb::none())
         .def("take", &Memory::take, nb::arg("poses"), nb::arg("ranges"), nb::arg("stamps"), nb::arg("new"));
     nb::class_<Recent>(module, "Recent")
-        .def(nb::init<const Array2<double>&>(), nb::arg("mounts"))
+        .def(nb::init<const Array2<double>&, double, double, double, int>(), nb::arg("mounts"), nb::arg("way"),
+             nb::arg("turn"), nb::arg("time"), nb::arg("scans"))
         .def("complete", &Recent::complete, nb::arg("stamp"), nb::arg("pose"), nb::arg("ranges"),
              nb::arg("mounts") = nb::none());
     module.def("stand", &stand, nb::arg("way"), nb::arg("came"), nb::arg("radius"), nb::arg("cell"), nb::arg("step"),

@@ -10,7 +10,7 @@ using namespace echogrid;
 
 constexpr double AT_M = 1.2;  // sonars are near whose axes point nearest to a bearing's point at this distance
 constexpr double TURN = 6.28318530717958648;
-constexpr double TIE_RAD = 1e-5;  // a sonar that looks so nearly along a bearing, or away from it, has it on its left
+constexpr double TIE_RAD = 1e-5;  // who looks so nearly along a bearing, or away from it, has it on its left
 constexpr double NEIGHBOUR_RAD = 0.35;
 constexpr float LOOK_COS = 0.866025404F;          // a sonar looks at what lies within 30 degrees of its axis,
 constexpr double CONE_SIN = 0.70710678118654752;  // and tells of nothing farther than 45 degrees off it

@@ -203,6 +203,12 @@ class Memory:
         pairs: Int32[ndarray, "pairs 2"],
         near: Float64[ndarray, "pairs"],
         sonars: int,
+        place: float,
+        turn: float,
+        far: float,
+        same: float,
+        fade: float,
+        prior: float,
         half_life: float | None = None,
     ) -> None:
         """A new drive.
@@ -211,6 +217,12 @@ class Memory:
             pairs: sonars whose readings are compared.
             near: how much each pair counts.
             sonars: how many there are.
+            place: side of a cell of the lattice of poses that see the same, m.
+            turn: likewise of headings, rad.
+            far: readings beyond are all alike, m.
+            same: readings farther apart do not agree, m.
+            fade: what an earlier scan counts, for each scan since, in the traits.
+            prior: what counts for one half from the beginning.
             half_life: time in which a look comes to count half, s; None: it counts for ever.
         """
 
@@ -226,8 +238,18 @@ class Memory:
 class Recent:
     """The last scans of a drive."""
 
-    def __init__(self, mounts: Float64[ndarray, "sonars 3"]) -> None:
-        """A new drive of a robot with its sonars at mounts (m and rad; nan: no such sonar)."""
+    def __init__(
+        self, mounts: Float64[ndarray, "sonars 3"], way: float, turn: float, time: float, scans: int
+    ) -> None:
+        """A new drive.
+
+        Args:
+            mounts: of the robot's sonars, m and rad; nan: no such sonar.
+            way: how far off, at most, a scan was made that others are completed from, m.
+            turn: likewise, rad.
+            time: likewise, s.
+            scans: how many are kept.
+        """
 
     def complete(
         self,

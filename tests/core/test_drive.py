@@ -56,7 +56,7 @@ def remembered(mounts, poses, ranges, stamps, new, half_life):
                     total[1] += near * max(1 - apart / memory.SAME_M, 0.0)
                     count[1] += near
         sums, counts = memory.FADE * sums + total, memory.FADE * counts + count
-        traits.append((sums + 0.0005) / (counts + 0.001))
+        traits.append((sums + 0.5 * memory.PRIOR) / (counts + memory.PRIOR))
     return np.array(weights), np.array(traits)
 
 
@@ -69,6 +69,32 @@ def test_the_core_remembers_as_numpy_does(seed, sonars, half_life):
     weights, traits = remembered(mounts, poses, ranges, stamps, new, half_life)
     np.testing.assert_allclose(recalled.weight, weights, rtol=1e-6)
     np.testing.assert_allclose(recalled.traits, traits, atol=1e-6)
+
+
+NUMBERS = {"PLACE_M": 0.3, "TURN_RAD": 0.7, "FAR_M": 2.0, "SAME_M": 0.5, "FADE": 0.5, "PRIOR": 0.7}
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_what_is_remembered_goes_by_the_numbers_of_memory(name, monkeypatch):
+    mounts, poses, ranges, stamps = drawn(1, 25, 12)
+    before = Memory(mounts).take(poses, ranges)
+    monkeypatch.setattr(memory, name, NUMBERS[name])
+    after = Memory(mounts).take(poses, ranges)
+    weights, traits = remembered(mounts, poses, ranges, stamps, np.ones(25), None)
+    np.testing.assert_allclose(after.weight, weights, rtol=1e-6)
+    np.testing.assert_allclose(after.traits, traits, atol=1e-6)
+    assert max(np.max(np.abs(a - b)) for a, b in zip(before, after, strict=True)) > 0.01
+
+
+@pytest.mark.parametrize("name", ["RECENT_M", "RECENT_RAD", "RECENT_S", "RECENT_FRAMES"])
+def test_what_is_recent_goes_by_the_numbers_of_memory(name, monkeypatch):
+    mounts, poses, ranges, stamps = drawn(2, 40, 12)
+    frames = [Frame(*each) for each in zip(stamps, poses, ranges, strict=True)]
+    _, before = Recent(mounts).completed(frames)
+    monkeypatch.setattr(memory, name, 1 if name == "RECENT_FRAMES" else 0.1)
+    _, after = Recent(mounts).completed(frames)
+    np.testing.assert_array_equal(after, [share for _, share in completed(mounts, frames)])
+    assert np.any(after != before)
 
 
 def completed(mounts, frames):
@@ -138,15 +164,23 @@ def test_the_floor_is_marked_that_discs_along_the_way_cover(seed, poses, came, r
         assert found is None
 
 
+def core_memory(pairs=((0, 1),), near=(1.0,), place=0.1, fade=0.9):
+    given_ = np.array(pairs, np.int32), np.array(near), 2
+    return _core.Memory(*given_, place=place, turn=0.2, far=4.0, same=0.1, fade=fade, prior=0.01)
+
+
 @pytest.mark.parametrize(
     ("call", "found"),
     [
-        (lambda: _core.Memory(np.array([[0, -1]], np.int32), np.ones(1), 2), "negative sonar"),
-        (lambda: _core.Memory(np.zeros((1, 2), np.int32), np.ones(2), 2), "1 x 2"),
+        (lambda: core_memory([[0, -1]]), "negative sonar"),
+        (lambda: core_memory([[0, 0]], [1, 1]), "1 x 2"),
         (lambda: Memory(np.zeros((2, 3))).take(np.zeros((1, 3)), np.zeros((1, 1))), "1 sonars"),
         (lambda: Memory(np.zeros((2, 3))).take(np.array([[inf, 0, 0]]), np.zeros((1, 2))), "inf"),
         (lambda: Memory(np.zeros((2, 3)), -1.0), "-1"),
-        (lambda: _core.Recent(np.zeros((2, 3))).complete(0.0, np.zeros(3), np.zeros(3)), "3"),
+        (lambda: core_memory(place=0.0), "0"),
+        (lambda: core_memory(fade=nan), "nan"),
+        (lambda: _core.Recent(np.zeros((2, 3)), 1, 1, 1, 0), "0"),
+        (lambda: _core.Recent(np.zeros((2, 3)), 1, 1, 1, 9).complete(0.0, np.zeros(3), np.zeros(3)), "3"),
         (lambda: _core.stand(np.full((1, 2), nan), False, 1, 0.1, 0.1, 1, 1, np.zeros((9, 9), "f4"), (0, 0)), "nan"),
         (lambda: _core.stand(np.zeros((1, 2)), False, 0, 0.1, 0.1, 1, 1, np.zeros((9, 9), "f4"), (0, 0)), "0 m"),
     ],

@@ -26,7 +26,7 @@ NEIGHBOUR_RAD = 0.35
 """Readings of sonars are compared whose axes lie about so near to each other."""
 
 FAR_M = 4.0
-"""Readings beyond are all alike, no echo among them. This and what follows is held in core/bind_drive.cpp as well."""
+"""Readings beyond are all alike, no echo among them."""
 
 SAME_M = 0.08
 """Readings farther apart do not agree."""
@@ -83,7 +83,10 @@ class Memory:
         """
         sonars = max(1, int(np.sum(~np.isnan(mounts[:, 2]))))
         first, second, near = neighbours(mounts)
-        self._core = _core.Memory(np.column_stack([first, second]).astype(np.int32), near, sonars, half_life)
+        pairs = np.column_stack([first, second]).astype(np.int32)
+        self._core = _core.Memory(
+            pairs, near, sonars, PLACE_M, TURN_RAD, FAR_M, SAME_M, fade=FADE, prior=PRIOR, half_life=half_life
+        )
 
     def take(
         self,
@@ -106,7 +109,7 @@ class Recent:
 
     def __init__(self, mounts: Float[ndarray, "sonars 3"]):
         """A new drive of a robot with its sonars at mounts (m and rad; nan: no such sonar)."""
-        self._core = _core.Recent(mounts)
+        self._core = _core.Recent(mounts, RECENT_M, RECENT_RAD, RECENT_S, RECENT_FRAMES)
 
     def completed(self, frames: Sequence[Frame]) -> tuple[Sequence[Frame], Float[ndarray, "scans"]]:
         """Scans that follow, completed with what their silent sonars heard last and from where that was.
