@@ -47,6 +47,21 @@ def test_an_object_of_kernels_exports_its_table_alone_and_calls_next_to_nothing(
     assert {name for name in called if not name.startswith(("__asan", "__ubsan"))} <= FROM_LIBRARIES
 
 
+@pytest.mark.skipif(not shutil.which("objdump"), reason="needs objdump (binutils)")
+@pytest.mark.parametrize("path", OBJECTS, ids=lambda path: path.parent.name)
+def test_an_object_of_kernels_has_the_registers_of_its_instructions_and_no_wider(path):
+    level = path.parent.name.split(".")[0].removeprefix("kernels_")
+    widest = {"v2": "xmm", "v3": "ymm", "v4": "zmm"}.get(level)
+    if widest is None:
+        pytest.skip("not of x86-64")
+    listed = subprocess.run(["objdump", "-d", path], capture_output=True, text=True, check=True).stdout
+    held = set(re.findall(r"%([xyz]mm)\d", listed))
+    assert widest in held
+    assert held <= set(["xmm", "ymm", "zmm"][: "xyz".index(widest[0]) + 1])
+    if level == "v2":
+        assert not re.search(r"\tv\w+ .*%xmm", listed)  # of AVX, whose registers may be as narrow
+
+
 def arguments_of(stub):
     """Names of the arguments of all functions of a stub, and of the methods of its classes."""
     for node in stub.body:
