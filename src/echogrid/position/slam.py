@@ -90,7 +90,7 @@ def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], o
     """
     frames = list(frames)
     odometry = np.array([frame.pose for frame in frames], dtype=float)
-    drive = _Drive(frames, odometry, robot)
+    drive = Drive(frames, odometry, robot)
     for k in range(1, drive.count):
         drive.place(k)
         if progress:
@@ -113,7 +113,7 @@ class _Edge(NamedTuple):
     loop: bool
 
 
-class _Drive:
+class Drive:
     """A drive whose pieces are placed one after the other; all that were placed before move with each."""
 
     def __init__(self, frames: Sequence[Frame], odometry: Float[ndarray, "frames 3"], robot: Robot):
