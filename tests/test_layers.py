@@ -24,15 +24,15 @@ PLAN = {
     "models.networks": "weights memory set_layers set_encoder surroundings set_core set_network local_map "
     "paper_network paper_layers",
     "mapping": "registry intake mapper build",
-    "position": "motion graph matching echoes walls pieces slam online remapping odometry corrected particles beams "
-    "sights localise",
+    "position": "motion graph matching echoes walls pieces slam growing beside online remapping odometry corrected "
+    "particles beams sights localise",
     "planning": "clearance paths",
     "training": "drives gradient_descent paper_examples paper_training set_lessons map_lessons map_training "
     "set_training",
     "output": "trajectory graph_file folder follower map_picture scan_picture map_server_file map_file mcap_file "
     "recording page rerun_file rerun_server",
     "microcontroller": "array constants source",
-    "live": "sonar_array clocks hearing telling live_map session sockets tf_topics dds_types dds",
+    "live": "sonar_array clocks hearing telling placing live_map session sockets tf_topics dds_types dds",
     "cli": "ending arguments info poses maps localise planning simulation export live helping completion commands",
 }
 ORDER = [f"{room}.{name}".strip(".") for room, names in PLAN.items() for name in [*names.split(), ""] if room or name]

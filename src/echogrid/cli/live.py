@@ -2,6 +2,7 @@
 
 import gc
 import os
+import re
 import signal
 import sys
 import time
@@ -46,6 +47,12 @@ class Live:
     It listens on loopback only, unless you name an interface: nobody on a DDS network has to prove who they are.
     """
 
+    slam: bool = False
+    """Poses are odometry that drifts: find them with the map. Publishes map -> odom on /tf, and /map in map."""
+    map_frame: str = "map"
+    """With --slam: the frame of the map."""
+    transform_tolerance: Annotated[float, arg(metavar="S")] = 1.0
+    """With --slam: how long after its scan map -> odom holds, s."""
     ros: Annotated[Ros, OmitArgPrefixes] = field(default_factory=Ros)
     out: Path = Path("out")
     """Folder for the map."""
@@ -85,7 +92,16 @@ class Live:
                 f"--interpreter: found {self.interpreter}, expected set-network or a file of its weights"
             )
         choice = self.ros.choice()
-        mapping = Mapping(model, Settings(choice, self.resolution, self.half_life, self.local_side))
+        settings = Settings(
+            choice,
+            self.resolution,
+            self.half_life,
+            self.local_side,
+            self.slam,
+            self.map_frame,
+            self.transform_tolerance,
+        )
+        mapping = Mapping(model, settings)
         with made(self.out), stopped() as stop:
             check_folder(self.out)
             interface = self._interface()
@@ -103,6 +119,10 @@ class Live:
             raise UsageError(f"--local-side: found {self.local_side:g}, expected 1 to 40 m")
         if not 1.0 <= self.save_every <= 86400.0:
             raise UsageError(f"--save-every: found {self.save_every:g}, expected 1 to 86400 s")
+        if not 0.0 <= self.transform_tolerance <= 60.0:
+            raise UsageError(f"--transform-tolerance: found {self.transform_tolerance:g}, expected 0 to 60 s")
+        if not re.fullmatch(r"[A-Za-z_][\w/]{0,199}", self.map_frame, re.ASCII):
+            raise UsageError(f"--map-frame: found {self.map_frame!r}, expected a name of a frame such as map")
         where, domain = "--domain", str(self.domain)
         if self.domain is None:
             where, domain = "ROS_DOMAIN_ID", os.environ.get("ROS_DOMAIN_ID") or "0"

@@ -42,9 +42,11 @@ from echogrid.live.dds_types import (
     Refused,
     TFMessage,
     occupancy_grid,
+    tf_message,
 )
 from echogrid.live.hearing import Heard
 from echogrid.live.live_map import Picture
+from echogrid.live.placing import Correction
 from echogrid.live.sockets import keep_to, open_sockets
 from echogrid.live.tf_topics import TfTopics
 from echogrid.robot import MAX_SONARS
@@ -62,8 +64,9 @@ SENSOR_QOS = Qos(
     Policy.Reliability.BestEffort,
     Policy.Durability.Volatile,
     Policy.History.KeepLast(_DEPTH),
+    Policy.IgnoreLocal.Participant,
 )
-"""To hear ranges, /tf and odometry: it asks for least, so writers of every kind match."""
+"""To hear ranges, /tf and odometry: it asks for least, so writers of every kind match, but its own."""
 
 STATIC_QOS = Qos(
     Policy.Reliability.Reliable(max_blocking_time=0),
@@ -86,6 +89,13 @@ LOCAL_MAP_QOS = Qos(
     Policy.History.KeepLast(1),
 )
 """To send the local map; readers that ask for less match as well."""
+
+TF_QOS = Qos(
+    Policy.Reliability.Reliable(max_blocking_time=0),
+    Policy.Durability.Volatile,
+    Policy.History.KeepLast(100),
+)
+"""To send /tf, as tf2 sends it."""
 
 _FOUND_BY_TYPE: dict[str, tuple[Heard, Any, int]] = {
     "sensor_msgs::msg::dds_::Range_": (Heard.RANGE, Range, MAX_SONARS),
@@ -167,6 +177,7 @@ class Network:
         self._readers: dict[tuple[str, type, str], _Reader] = {}
         self._tf = TfTopics()
         self._held: list[tuple[int, Heard, str, Any]] = []
+        self._sent_tf: DataWriter | None = None
         sent = [dds_topic(name) for name in (map_topic, local_topic)]
         before = open_sockets()
         try:
@@ -284,7 +295,18 @@ class Network:
         except (UsageError, DDSException):
             self.refused["topics that cannot be listened to"] += 1
 
-    def send(self, picture: Picture) -> None:
-        """Send a map, or a local map."""
-        with suppress(DDSException):  # a reader that takes nothing costs the others no more than this map
-            (self._local if picture.local else self._map).write(occupancy_grid(picture))
+    def send(self, what: Picture | Correction) -> None:
+        """Send a map, a local map, or a transform."""
+        with suppress(DDSException):  # a reader that takes nothing costs the others no more than this message
+            if isinstance(what, Correction):
+                self._transforms().write(tf_message(what))
+            else:
+                (self._local if what.local else self._map).write(occupancy_grid(what))
+
+    def _transforms(self) -> DataWriter:
+        """Where transforms are sent: where those of the robot come from."""
+        if self._sent_tf is None:
+            names = [name for name in self._tf.wanted(self.ranges) if name.endswith("/tf")]
+            topic = Topic(self._participant, dds_topic(names[0] if names else "/tf"), TFMessage)
+            self._sent_tf = DataWriter(self._participant, topic, TF_QOS)
+        return self._sent_tf

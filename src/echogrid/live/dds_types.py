@@ -6,6 +6,7 @@ The names are those by which ROS 2 puts its types on DDS: ``nav_msgs/msg/Occupan
 
 import struct
 from dataclasses import replace
+from math import cos, sin
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from cyclonedds.idl import IdlStruct, make_idl_struct
 from cyclonedds.idl.types import array, float32, float64, int8, int32, sequence, uint8, uint32
 
 from echogrid.live.live_map import Picture
+from echogrid.live.placing import Correction
 
 MAX_MESSAGE_BYTES = 256 * 1024
 """A longer message is refused: room for about 2,000 transforms."""
@@ -98,9 +100,24 @@ OccupancyGrid.serialize = _serialize
 
 def occupancy_grid(picture: Picture) -> Any:
     """The message that says a map."""
-    sec, nanosec = divmod(round(picture.stamp * 1e9), 10**9)
     rows, cols = picture.cells.shape
-    stamp = Time(sec, nanosec)
-    origin = Pose(Point(*picture.origin, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
+    stamp = _time(picture.stamp)
+    origin = Pose(Point(*picture.origin, 0.0), _turned(0.0))
     info = MapMetaData(stamp, picture.resolution, cols, rows, origin)
     return OccupancyGrid(Header(stamp, picture.frame), info, picture.cells.ravel())
+
+
+def tf_message(correction: Correction) -> Any:
+    """The message that says where the frame of the odometry lies in that of the map."""
+    x, y, theta = correction.pose.tolist()
+    where = Transform(Vector3(x, y, 0.0), _turned(theta))
+    header = Header(_time(correction.stamp), correction.parent)
+    return TFMessage([TransformStamped(header, correction.child, where)])
+
+
+def _time(seconds: float) -> Any:
+    return Time(*divmod(round(seconds * 1e9), 10**9))
+
+
+def _turned(theta: float) -> Any:
+    return Quaternion(0.0, 0.0, sin(theta / 2), cos(theta / 2))

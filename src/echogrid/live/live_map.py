@@ -15,11 +15,13 @@ from echogrid.doubts import Judge, Whereabouts
 from echogrid.errors import InputError, UsageError
 from echogrid.frame import Frame, show_to
 from echogrid.grid import Grid
+from echogrid.live.placing import Correction, Slam
 from echogrid.live.sonar_array import SonarArray
 from echogrid.live.telling import in_live
 from echogrid.mapping.mapper import Mapper
 from echogrid.models.networks.set_network import SetNetwork
 from echogrid.output.map_server_file import occupancy
+from echogrid.position.remapping import Renewed
 from echogrid.robot import robot_yaml
 from echogrid.ros.messages import Choice
 from echogrid.track import Track
@@ -55,6 +57,12 @@ class Settings:
     """Time in which evidence comes to count half, s; None: it never fades."""
     local_side: float = 6.0
     """Side of the local map, m."""
+    slam: bool = False
+    """Whether poses are odometry that drifts, and are to be found."""
+    map_frame: str = "map"
+    """Frame of the map, where it is not that of the odometry."""
+    tolerance: float = 1.0
+    """How long after its scan what is said of that frame holds, s."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +112,12 @@ class LiveMap:
         self.scans = 0
         """How many are in the map."""
         self.array, self._network, self._settings, self._refused = array, network, settings, refused
-        self._mapper = Mapper(array.robot, network, settings.resolution, settings.half_life)
+        self._empty = lambda robot: Mapper(robot, network, settings.resolution, settings.half_life)
+        self._mapper = self._empty(array.robot)
+        self.placing = None
+        if settings.slam:
+            self.placing = Slam(array, self._empty, settings.map_frame, settings.tolerance)
+        """Finds where the robot is in the map; None: the poses that are heard say it."""
         self._judge, self._whereabouts = Judge(array.robot), Whereabouts()
         self._unjudged: list[Frame] = []
         self._notes: dict[str, int] = {}
@@ -115,9 +128,16 @@ class LiveMap:
         self._last: Frame | None = None
         self._changed, self._due = False, -inf
 
+    @property
+    def frame(self) -> str:
+        """In which the map lies."""
+        return self.placing.frame if self.placing else self.array.fixed
+
     def equip(self) -> None:
         """Go on with the array as it has grown; scans of the array as it was are to be mapped before."""
         self._mapper.equip(self.array.robot)
+        if self.placing:
+            self.placing.equip()
         self._notes, self._judge = self.notes(), Judge(self.array.robot)
 
     @property
@@ -125,7 +145,7 @@ class LiveMap:
         """Whether scans wait to be mapped."""
         return bool(self._ready)
 
-    def step(self, now: float, reach: float) -> list[Picture]:
+    def step(self, now: float, reach: float) -> list[Picture | Correction]:
         """Map some of the scans that are complete; what is to be published by then.
 
         Args:
@@ -133,8 +153,11 @@ class LiveMap:
             reach: as of ``Scans.frames``, s.
         """
         self._gather(reach)
-        pictures = []
+        pictures: list[Picture | Correction] = []
+        if self.placing and (renewed := self.placing.renewed(now)):
+            self._renew(renewed)
         if self._map(AT_ONCE):
+            pictures += self.placing.sent() if self.placing else []
             pictures.append(self._picture(local=True))
         if self._changed and now >= self._due:
             self._changed, self._due = False, now + MAP_EVERY_S
@@ -145,6 +168,15 @@ class LiveMap:
         """Map all scans that are complete; arguments as of ``Scans.frames``."""
         self._gather(reach, final)
         self._map(len(self._ready))
+        if final and self.placing and self.scans:
+            self._renew(self.placing.final())
+
+    def _renew(self, renewed: Renewed) -> None:
+        """Go on with another map of the same drive."""
+        self._mapper, self._path, self._changed = renewed.mapper, Track(), True
+        for x, y in renewed.path.tolist():
+            self._path.add(x, y)
+        self._low, self._high = renewed.path.min(axis=0), renewed.path.max(axis=0)
 
     def _gather(self, reach: float, final: bool = False) -> None:
         for frame in self.array.scans.frames(reach, final):
@@ -157,7 +189,7 @@ class LiveMap:
             self._valid |= not np.isnan(frame.ranges).all()
             if len(self._ready) >= MAX_READY:
                 self._refused["a scan too many to keep up with"] += 1
-            elif self._fits(frame.pose):
+            else:
                 self._ready.append(frame)
 
     def _see(self) -> None:
@@ -191,6 +223,9 @@ class LiveMap:
         for _ in range(min(most, len(self._ready))):
             frame = self._ready.popleft()
             try:
+                frame = self.placing.place(frame) if self.placing else frame
+                if not self._fits(frame.pose):
+                    continue
                 self._mapper.add([frame])
             except UsageError:  # the map is as it was
                 self._refused["a scan whose stamp, pose or mounts cannot be"] += 1
@@ -207,7 +242,7 @@ class LiveMap:
         assert self._last is not None
         x, y = (float(v) for v in self._last.pose[:2])
         grid = self._mapper.around(x, y, self._settings.local_side) if local else self._mapper.grid()
-        return Picture(occupancy(grid), grid.resolution, grid.origin, self._last.stamp, self.array.fixed, local)
+        return Picture(occupancy(grid), grid.resolution, grid.origin, self._last.stamp, self.frame, local)
 
     def snapshot(self, refused: Counter[str], doubts: Iterable[str]) -> Snapshot | None:
         """The map to be saved, with what was refused and what is doubtful; None if there is none yet."""
@@ -228,4 +263,5 @@ class LiveMap:
             "notes": dict.fromkeys(doubts, 0) | self.notes(),
             "weights": self._network.recipe,
         }
+        settings |= self.placing.settings() if self.placing else {}
         return Snapshot(grid, self._path.points(), settings, f"live, {robot.sonars} sonars, {self._network.name}")

@@ -7,9 +7,11 @@ from typing import Any
 
 from echogrid.live.hearing import SETTLE_S, Heard, Hearing
 from echogrid.live.live_map import LiveMap, Picture, Settings, Snapshot
+from echogrid.live.placing import Correction
 from echogrid.live.sonar_array import Mounts, SonarArray, frames_of, lack, listed, mounts_of
 from echogrid.live.telling import Telling, doubts, kind_of
 from echogrid.models.networks.set_network import SetNetwork
+from echogrid.position.corrected import LEAST_SONARS
 from echogrid.ros.sonars import fixed_of
 
 REBUILD_S = 10.0
@@ -89,7 +91,7 @@ class Live:
                 self._said.add(text)
                 self._notices.append(text)
 
-    def step(self, now: float) -> list[Picture]:
+    def step(self, now: float) -> list[Picture | Correction]:
         """Map what has come, and say what is to be published.
 
         Args:
@@ -115,7 +117,9 @@ class Live:
             return []
         known = hearing.transforms.known(self._map.array.fixed, self._map.array.base)
         behind = known is not None and hearing.newest - known[1] > LAG_S
-        return self._map.step(now, REACH_S if behind else 0.0)
+        sent = self._map.step(now, REACH_S if behind else 0.0)
+        self._notices += self._map.placing.notices() if self._map.placing else ()
+        return sent
 
     def finish(self) -> None:
         """Map what was gathered and is not yet a whole scan: nothing comes any more."""
@@ -153,7 +157,8 @@ class Live:
             parts = [self._lack()]
         else:
             array = self._map.array
-            parts = [f"{self.scans} scans of {len(array.numbers)} sonars in {array.fixed}"]
+            parts = [f"{self.scans} scans of {len(array.numbers)} sonars in {self._map.frame}"]
+            parts += [self._map.placing.status()] if self._map.placing else []
             if array.silent:
                 parts.append(f"silent: {listed(array.silent)}")
         if refused := self.refused.most_common(3):
@@ -169,15 +174,34 @@ class Live:
     def _settle(self) -> None:
         """Begin to map, if it is known what with."""
         hearing = self._hearing
-        frames = frames_of(hearing.transforms, hearing.apart, self.settings.choice)
+        frames = frames_of(hearing.transforms, hearing.apart, self.settings.choice, self.settings.slam)
         mounts = self._mounts(hearing.apart, frames[1]) if frames else {}
-        if not frames or not mounts:
+        if not frames or not mounts or not self._is_odometry(*frames, len(mounts)):
             return
         array = SonarArray(*frames, mounts, hearing.sonars, hearing.transforms)
         self._map = LiveMap(array, self._network, self.settings, self._refused)
         fixed, base = frames
-        self._notices.append(f"mapping in {fixed} with {len(mounts)} sonars of {base}: {listed(mounts)}")
+        found = (
+            f"mapping in {self._map.frame}, with odometry in {fixed}," if self._map.placing else f"mapping in {fixed}"
+        )
+        self._notices.append(f"{found} with {len(mounts)} sonars of {base}: {listed(mounts)}")
         hearing.begin(array)
+
+    def _is_odometry(self, fixed: str, base: str, sonars: int) -> bool:
+        """Whether the robot can be found by its sonars and its odometry in a frame, where that is wanted; else it is
+        said why not.
+        """
+        if not self.settings.slam:
+            return True
+        if fixed == self.settings.map_frame:
+            self._say_once([f"{base} is told in {fixed} itself, not in a frame of odometry: stop who tells that"])
+            return False
+        if sonars < LEAST_SONARS:
+            few = f"{sonars} {'sonar' if sonars == 1 else 'sonars'}, expected {LEAST_SONARS} at least"
+            self._say_once(
+                [f"found {few}: of fewer no place is told from another, so the odometry is hardly corrected"]
+            )
+        return True
 
     def _mounts(self, sonars: Iterable[str], base: str) -> Mounts:
         """Where sonars sit; of those whose place is of no use it is said."""
@@ -190,7 +214,11 @@ class Live:
         transforms = self._hearing.transforms
         array.look_up(transforms)
         fixed = fixed_of(transforms, array.base)
-        if fixed not in (None, array.fixed) and self.settings.choice.fixed is None:
+        if self.settings.slam:
+            if self.settings.map_frame in transforms.line(array.base):
+                frame = self.settings.map_frame
+                self._say_once([f"{array.fixed} is told in {frame} by another program as well: stop it"])
+        elif fixed not in (None, array.fixed) and self.settings.choice.fixed is None:
             self._say_once([f"there is {fixed} now; to map in it rather than in {array.fixed}, start again"])
         self._notices += array.watch(gone=now - self._hearing.last_range > GONE_S)
 

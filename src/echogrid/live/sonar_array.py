@@ -30,12 +30,14 @@ class SonarSaid:
     """Where they come."""
 
 
-def frames_of(transforms: Transforms, sonars: Iterable[str], choice: Choice) -> tuple[str, str] | None:
-    """The frame to map in and the robot's that carries sonars, as soon as both are known."""
+def frames_of(
+    transforms: Transforms, sonars: Iterable[str], choice: Choice, odometry: bool = False
+) -> tuple[str, str] | None:
+    """The frame to map in, or that of odometry, and the robot's that carries sonars, as soon as both are known."""
     bases = Counter(base_of(transforms, name) for name in sonars if name in transforms)
     for base, _ in bases.most_common():
         base = (choice.base or base).lstrip("/")
-        fixed = (choice.fixed or fixed_of(transforms, base) or "").lstrip("/")
+        fixed = (choice.fixed or fixed_of(transforms, base, odometry) or "").lstrip("/")
         if fixed and fixed != base and transforms.known(fixed, base) is not None:
             return fixed, base
     return None

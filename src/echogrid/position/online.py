@@ -4,11 +4,8 @@ The graph is that of ``slam``, made piece by piece. A scan costs a composition o
 loops, the solution of the graph) is paid in a thread.
 """
 
-from bisect import bisect_right
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import replace
-from threading import Condition, Thread
 from typing import NamedTuple
 
 import numpy as np
@@ -17,120 +14,22 @@ from numpy import ndarray
 
 from echogrid.doubts import FASTEST_M_S, FASTEST_RAD_S, JUMP_M, JUMP_RAD
 from echogrid.frame import Frame
-from echogrid.geometry import compose, inverse, wrap
+from echogrid.geometry import compose, inverse
 from echogrid.mapping.intake import check_robot, cleaned, fitting
+from echogrid.position.beside import Beside
+from echogrid.position.growing import Graph, Growing, grown, wrapped
 from echogrid.position.motion import chained, corrected, lengths, steps
-from echogrid.position.pieces import PIECE_M, PIECE_RAD, LocalMaps, Piece, spread_over
-from echogrid.position.slam import Drive
+from echogrid.position.pieces import PIECE_M, PIECE_RAD
 from echogrid.robot import Robot
-
-LEAP_S = 10.0
-"""Scans farther apart than this are not of one drive, if the pose jumps with them."""
 
 STOOD_M, STOOD_RAD, STOOD = 0.02, np.deg2rad(1.0), 30
 """A robot that got no farther stands; so many scans are kept of the place."""
 
-
-BENT_AT = (16, 32)
-"""Pieces after which the heading bias is looked for by how straight it makes the walls."""
-
 LEAST_FRAMES = 3
 """Scans that a piece has at least."""
 
-
-class Graph(NamedTuple):
-    """What was placed by a time; nothing in it changes."""
-
-    frames: Sequence[Frame]
-    """Scans that were kept, with poses by odometry."""
-    cut: Sequence[Piece]
-    poses: Float[ndarray, "pieces 3"]
-    """Of the pieces in the map, m, m, rad."""
-    drive: Float[ndarray, "frames 3"]
-    """By odometry less its systematic error, from anywhere."""
-    parameters: Float[ndarray, "3"]
-    """What corrects the odometry, see ``motion.corrected``."""
-    loops: int
-    """How many were closed."""
-    taken: int
-    """How many scans were kept by then, with those that were forgotten."""
-
-    def frame_poses(self, last: int | None = None) -> Float[ndarray, "frames 3"]:
-        """Poses of the frames in the map; of the last so many alone, which costs no more than they do."""
-        begin = max(0, len(self.frames) - (len(self.frames) if last is None else last))
-        piece = max(0, bisect_right(self.cut, begin, key=lambda piece: piece.first) - 2)
-        first = self.cut[piece].first
-        cut = [Piece(a - first, b - first, c - first) for a, b, c in self.cut[piece:]]
-        return wrapped(spread_over(cut, self.poses[piece:], self.drive[first:])[begin - first :])
-
-
-def wrapped(poses: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
-    """Poses whose headings lie in [-pi, pi)."""
-    return np.column_stack([poses[:, :2], wrap(poses[:, 2])])
-
-
-class Growing(Drive):
-    """A drive that grows by pieces."""
-
-    def __init__(self, frames: Sequence[Frame], robot: Robot):
-        """A drive of one piece, of these frames, whose poses are by odometry."""
-        self.robot = robot
-        self._kept, self._taken = list(frames), len(frames)
-        super().__init__(self._kept, np.array([frame.pose for frame in frames], dtype=float), robot)
-        self._first = self._kept[self.cut[0].middle].pose
-        for k in range(1, self.count):
-            self.place(k)
-
-    def extend(self, frames: Sequence[Frame]) -> None:
-        """Place the next piece."""
-        begin, end = len(self._kept), len(self._kept) + len(frames)
-        way = np.array([frame.pose for frame in [self._kept[-1], *frames]], dtype=float)
-        self._kept.extend(frames)
-        self._taken += len(frames)
-        bias = np.array([0.0, self._bias, 0.0])
-        self._step = np.concatenate([self._step, corrected(steps(way), bias)])
-        self.cut.append(Piece(begin, end, (begin + end) // 2))
-        self.count += 1
-        self.poses = np.concatenate([self.poses, np.zeros((1, 3))])
-        self._correct()
-        self._information = self._odometry_information()
-        self.place(self.count - 1)
-        if self.count in BENT_AT:
-            self._unbend()
-
-    def _unbend(self) -> None:
-        """Begin anew with the heading bias that makes walls straightest, if it makes them much straighter."""
-        poses = self.poses
-        bias = self._straight()
-        self.poses = poses
-        if bias:
-            self._bias += bias
-            self.parameters[1] -= bias
-            self._step = corrected(self._step, np.array([0.0, bias, 0.0]))
-            self._correct()
-            self._solve(self.count)
-
-    def graph(self) -> Graph:
-        """As it is now, in the frame of the odometry's first poses."""
-        poses = compose(self._first, self.poses)
-        loops = sum(edge.loop for edge in self.matches)
-        return Graph(self._kept[:], tuple(self.cut), poses, self.by_odometry, self.drift, loops, self._taken)
-
-    def equip(self, robot: Robot) -> None:
-        """Go on with a robot that has got more sonars, behind those that it had."""
-        self.robot = robot
-        self._kept[:] = [grown(frame, robot) for frame in self._kept]
-        self._maps = LocalMaps(self._kept, self.cut, robot)
-
-
-def grown(frame: Frame, robot: Robot) -> Frame:
-    """A frame of a robot that has got more sonars since, which did not fire in it."""
-    missing = robot.sonars - len(frame.ranges)
-    if not missing:
-        return frame
-    ranges = np.concatenate([frame.ranges, np.full(missing, np.nan)])
-    mounts = None if frame.mounts is None else np.concatenate([frame.mounts, robot.mounts[-missing:]])
-    return replace(frame, ranges=ranges, mounts=mounts)
+MOST_JUMPS = 1000
+"""Of the odometry that are remembered."""
 
 
 class Jump(NamedTuple):
@@ -154,14 +53,21 @@ class _Task(NamedTuple):
     """As it is by then."""
 
 
-def _done(task: _Task, drive: Growing | None) -> Growing:
-    """A drive, at first None, after a task."""
-    if drive is not None and task.robot is not drive.robot:
-        drive.equip(task.robot)
-    if drive is None:
-        return Growing(task.frames, task.robot)
-    drive.extend(task.frames)
-    return drive
+class _Placing:
+    """Places pieces; it lives in the thread."""
+
+    def __init__(self) -> None:
+        self._number, self._drive = -1, None
+
+    def __call__(self, task: _Task) -> tuple[int, Graph]:
+        """Place a piece; the number of its drive, and all that is known of it."""
+        if self._drive is None or task.drive != self._number:
+            self._number, self._drive = task.drive, Growing(task.frames, task.robot)
+        else:
+            if task.robot is not self._drive.robot:
+                self._drive.equip(task.robot)
+            self._drive.extend(task.frames)
+        return self._number, self._drive.graph()
 
 
 class OnlineSlam:
@@ -180,19 +86,13 @@ class OnlineSlam:
         """
         check_robot(robot)
         self._robot = robot
-        self.jumps: list[Jump] = []
+        self.jumps: deque[Jump] = deque(maxlen=MOST_JUMPS)
         """What happened so far."""
         self.drives = 0
         """How many other drives began after the first."""
-        self._graph: Graph | None = None
-        self._condition = Condition()
-        self._todo: deque[_Task] = deque()
-        self._busy, self._closed = False, False
-        self._failed: Exception | None = None
+        self._beside = Beside(_Placing(), "echogrid-slam")
         self._last: Frame | None = None
         self._begin(np.zeros(3))
-        self._thread = Thread(target=self._work, name="echogrid-slam", daemon=True)
-        self._thread.start()
 
     def _begin(self, at: Float[ndarray, "3"]) -> None:
         """Begin a drive where the odometry says."""
@@ -203,7 +103,8 @@ class OnlineSlam:
         self._stood = 0
         self._recent: deque[Frame] = deque()  # those from the middle of the last piece placed on, by odometry
         self.kept = 0
-        self._graph = self._anchored = None
+        """Scans that were kept of this drive."""
+        self._anchored: Graph | None = None
 
     @property
     def pose(self) -> Float[ndarray, "3"]:
@@ -218,7 +119,13 @@ class OnlineSlam:
     @property
     def graph(self) -> Graph | None:
         """All that was placed so far; None: nothing yet."""
-        return self._graph
+        drive, graph = self._beside.found or (self.drives, None)
+        return graph if drive == self.drives else None
+
+    @property
+    def waiting(self) -> int:
+        """Pieces that are not placed yet."""
+        return self._beside.waiting
 
     def add(self, frame: Frame) -> Float[ndarray, "3"]:
         """Go on to a scan, whose pose is by odometry; the robot's pose in the map.
@@ -227,12 +134,10 @@ class OnlineSlam:
             UsageError: it cannot be one of the robot's; nothing is changed.
         """
         (frame,) = cleaned(list(fitting([frame], self._robot)), self._robot)
-        if self._failed is not None:
-            raise self._failed
         self._go_to(frame)
         self._keep(frame)
         self._last = frame
-        if (graph := self._graph) is not self._anchored and graph is not None:
+        if (graph := self.graph) is not self._anchored and graph is not None:
             self._anchor(graph)
         return self._pose
 
@@ -243,21 +148,13 @@ class OnlineSlam:
 
     def wait(self) -> None:
         """Return when all whole pieces were placed, and the robot's pose is by them."""
-        with self._condition:
-            self._condition.wait_for(lambda: self._failed or not (self._todo or self._busy))
-        if self._failed is not None:
-            raise self._failed
-        if self._graph is not None:
-            self._anchor(self._graph)
+        self._beside.wait()
+        if (graph := self.graph) is not None:
+            self._anchor(graph)
 
     def close(self) -> None:
         """End; what waits is not placed any more."""
-        with self._condition:
-            self._closed = True
-            self._condition.notify_all()
-        self._thread.join()
-
-    # In the thread of the caller.
+        self._beside.close()
 
     def _go_to(self, frame: Frame) -> None:
         if self._last is None:
@@ -270,9 +167,8 @@ class OnlineSlam:
             self.jumps.append(Jump(frame.stamp, took <= 0))
             if took <= 0:
                 self.drives += 1
-                with self._condition:
-                    self._todo.clear()
-                    self._begin(np.array(frame.pose, dtype=float))
+                self._beside.drop()
+                self._begin(np.array(frame.pose, dtype=float))
                 return
             step = np.zeros(3)
         self._at = compose(self._at, step)
@@ -292,7 +188,7 @@ class OnlineSlam:
                 self._stood = 0
         self._amount += abs(way) / PIECE_M + turn / PIECE_RAD
         if self._amount >= 1 and len(self._piece) >= LEAST_FRAMES:
-            self._put(_Task(self.drives, self._piece, self._robot))
+            self._beside.put(_Task(self.drives, self._piece, self._robot))
             self._piece, self._amount = [], self._amount % 1
         kept = replace(frame, pose=self._at)
         self._piece.append(kept)
@@ -325,34 +221,3 @@ class OnlineSlam:
         behind = len(graph.frames) - graph.cut[-1].middle + max(begin - graph.taken, 0)
         rest = zip(list(self._recent)[behind:], self._since(graph)[behind:-1], strict=True)
         return [replace(frame, pose=pose) for frame, pose in [*placed, *rest]]
-
-    def _put(self, task: "_Task") -> None:
-        with self._condition:
-            self._todo.append(task)
-            self._condition.notify_all()
-
-    # In the thread beside it.
-
-    def _work(self) -> None:
-        drive: Growing | None = None
-        number = -1
-        while (task := self._next()) is not None:
-            try:
-                if task.drive != number:
-                    drive, number = None, task.drive
-                drive = _done(task, drive)
-            except Exception as error:  # it is the caller's: raised at the next scan
-                self._failed = error
-            with self._condition:
-                if task.drive == self.drives and drive is not None:
-                    self._graph = drive.graph()
-                self._busy = False
-                self._condition.notify_all()
-
-    def _next(self) -> "_Task | None":
-        with self._condition:
-            self._condition.wait_for(lambda: self._closed or self._todo)
-            if self._closed or self._failed:
-                return None
-            self._busy = True
-            return self._todo.popleft()

@@ -15,7 +15,8 @@ from echogrid.errors import UsageError
 from echogrid.frame import Frame
 from echogrid.geometry import wrap
 from echogrid.mapping.mapper import Mapper
-from echogrid.position.online import Graph, OnlineSlam, grown
+from echogrid.position.growing import Graph, grown
+from echogrid.position.online import OnlineSlam
 from echogrid.robot import Robot
 
 MOVED_M, MOVED_RAD = 0.06, np.deg2rad(2.0)
@@ -73,7 +74,7 @@ class Remapping:
         """
         if self._drive != self._finder.drives:
             self._begin()
-            return Renewed(self._make(robot), np.zeros((0, 2)))
+            return self._whole(robot)
         if self._making is not None:
             if self._making.thread.is_alive():
                 return None
@@ -94,10 +95,13 @@ class Remapping:
         """The map by all that is known in the end; it is waited for."""
         if self._making is not None:
             self._making.thread.join()
+        return self._whole(robot)
+
+    def _whole(self, robot: Robot) -> Renewed:
         mapper = self._make(robot)
         frames = [grown(frame, robot) for frame in self._finder.scans()]
         mapper.add(frames)
-        return Renewed(mapper, np.array([frame.pose[:2] for frame in frames]).reshape(-1, 2))
+        return Renewed(mapper, np.array([frame.pose[:2] for frame in frames]))
 
     def _taken(self, made: "_Making") -> Renewed | None:
         """A map that was made, with the scans that came since."""
@@ -105,12 +109,11 @@ class Remapping:
             return None
         rest = [grown(frame, made.robot) for frame in self._finder.scans(made.graph.taken)]
         made.mapper.add(rest)
-        cut = made.graph.cut
         self._mapped = dict(zip(_middles(made.graph), made.graph.poses, strict=True))
         self._fresh = {frame.stamp: frame.pose for frame in rest}
         self._judged = None
-        path = np.concatenate([made.poses[: cut[-1].end, :2], np.array([f.pose[:2] for f in rest]).reshape(-1, 2)])
-        return Renewed(made.mapper, path)
+        path = np.concatenate([made.poses, *(frame.pose[None] for frame in rest)])
+        return Renewed(made.mapper, path[:, :2])
 
     def _have_moved(self, graph: Graph) -> bool:
         """Whether a piece lies elsewhere than where it was mapped."""
@@ -141,7 +144,7 @@ class _Making:
         """Of its scans."""
         self.seconds = 0.0
         """How long it took."""
-        self.thread = Thread(target=self._run, args=(empty,), name="echogrid-map", daemon=True)
+        self.thread = Thread(target=self._run, args=(empty,), name="echogrid-map")
         self.thread.start()
 
     def _run(self, mapper: Mapper) -> None:

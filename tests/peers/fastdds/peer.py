@@ -112,7 +112,7 @@ def heard(text: str) -> list[Heard]:
     """The maps in what the robot wrote; a line that is not finished is left out."""
     maps = []
     for line in text.splitlines(keepends=True):
-        if not line.endswith("\n"):
+        if not line.endswith("\n") or not line.startswith(("map ", "local ")):
             continue
         kind, stamp, frame, resolution, cols, rows, x, y, delay, letters = line.split()
         table = np.zeros(128, dtype=np.int8)
@@ -122,6 +122,36 @@ def heard(text: str) -> list[Heard]:
         place = float(x), float(y)
         maps.append(Heard(kind, float(stamp), frame, float(resolution), cells, place, int(delay) / 1e6))
     return maps
+
+
+@dataclass(frozen=True)
+class HeardPose:
+    """A transform, or the robot's pose, that the robot heard."""
+
+    kind: str
+    """tf or pose."""
+    stamp: float
+    frame: str
+    child: str
+    """Of a transform."""
+    pose: np.ndarray
+    """x, y, heading."""
+    variance: np.ndarray
+    """Of a pose."""
+
+
+def heard_poses(text: str) -> list[HeardPose]:
+    """The transforms and poses in what the robot wrote."""
+    poses = []
+    for line in text.splitlines(keepends=True):
+        if not line.endswith("\n") or not line.startswith(("tf ", "pose ")):
+            continue
+        kind, stamp, frame, *words = line.split()
+        child = words.pop(0) if kind == "tf" else ""
+        x, y, sin, cos, *variance = map(float, words)
+        pose = np.array([x, y, 2 * np.arctan2(sin, cos)])
+        poses.append(HeardPose(kind, float(stamp), frame, child, pose, np.array(variance)))
+    return poses
 
 
 def stamp_text(stamp: float) -> str:

@@ -1,19 +1,22 @@
 // A robot on Fast DDS: publishes what it reads from stdin, a line a message, and writes the maps that it hears to
 // stdout. It knows nothing of echogrid but the ROS messages. It uses one interface alone, loopback by default.
 //
-//   robot DOMAIN [reliable] [variance] [on=ADDRESS]
+//   robot DOMAIN [reliable] [variance] [poses] [on=ADDRESS]
 //
 //   tf STAMP PARENT CHILD X Y Z QX QY QZ QW          on /tf, reliable and volatile, as robot_state_publisher has it
 //   static STAMP PARENT CHILD X Y Z QX QY QZ QW      on /tf_static, reliable and transient local
 //   odom STAMP FRAME CHILD X Y Z QX QY QZ QW         on /odom
 //   range TOPIC STAMP FRAME FOV MIN MAX RANGE        best effort and volatile, or reliable
+//   initial STAMP FRAME X Y Z QX QY QZ QW VXX VYY VAA   on /initialpose, as RViz has it
 //   text TOPIC TEXT                                  a message of another type
 //   matched N                                        waits until all topics so far have N subscribers
 //   at SECONDS                                       waits until so long after the first "at"
 //
 // Stamps are written SEC.NANOSECONDS. Each map is a line: "map" or "local", stamp, frame, resolution, columns, rows,
 // origin x and y, microseconds since the last range of that stamp was published (or -1), and the cells, one character
-// each: # 100, . 0, ? -1, ! any other.
+// each: # 100, . 0, ? -1, ! any other. With "poses" so is each transform of a frame of odometry that somebody else sends
+// ("tf", stamp, parent, child, x, y, sine and cosine of half the heading) and each /amcl_pose ("pose", stamp, frame, x,
+// y, sine and cosine of half the heading, variances of x, y and heading).
 #include <array>
 #include <chrono>
 #include <cstdio>
@@ -102,27 +105,90 @@ private:
     std::string name_;
 };
 
+class TransformListener : public DataReaderListener {
+public:
+    void on_data_available(DataReader* reader) override {
+        tf2_msgs::msg::dds_::TFMessage_ message;
+        SampleInfo info;
+        while (reader->take_next_sample(&message, &info) == ReturnCode_t::RETCODE_OK) {
+            const std::lock_guard<std::mutex> lock(guard);
+            for (const auto& each : message.transforms()) {
+                if (!info.valid_data || each.child_frame_id().find("odom") == std::string::npos) {
+                    continue;
+                }
+                const auto& at = each.transform();
+                std::printf("tf %d.%09u %s %s %.9g %.9g %.9g %.9g\n", each.header().stamp().sec(),
+                            each.header().stamp().nanosec(), each.header().frame_id().c_str(),
+                            each.child_frame_id().c_str(), at.translation().x(), at.translation().y(),
+                            at.rotation().z(), at.rotation().w());
+                std::fflush(stdout);
+            }
+        }
+    }
+};
+
+class PoseListener : public DataReaderListener {
+public:
+    void on_data_available(DataReader* reader) override {
+        geometry_msgs::msg::dds_::PoseWithCovarianceStamped_ message;
+        SampleInfo info;
+        while (reader->take_next_sample(&message, &info) == ReturnCode_t::RETCODE_OK) {
+            if (!info.valid_data) {
+                continue;
+            }
+            const std::lock_guard<std::mutex> lock(guard);
+            const auto& stamp = message.header().stamp();
+            const auto& at = message.pose().pose();
+            const auto& spread = message.pose().covariance();
+            std::printf("pose %d.%09u %s %.9g %.9g %.9g %.9g %.9g %.9g %.9g\n", stamp.sec(), stamp.nanosec(),
+                        message.header().frame_id().c_str(), at.position().x(), at.position().y(),
+                        at.orientation().z(), at.orientation().w(), spread[0], spread[7], spread[35]);
+            std::fflush(stdout);
+        }
+    }
+};
+
+static DomainParticipant* joined(int domain, const std::string& address) {
+    DomainParticipantQos qos;
+    auto udp = std::make_shared<UDPv4TransportDescriptor>();
+    udp->interfaceWhiteList.push_back(address);
+    qos.transport().use_builtin_transports = false;
+    qos.transport().user_transports.push_back(udp);
+    DomainParticipant* made = DomainParticipantFactory::get_instance()->create_participant(domain, qos);
+    if (!made) {
+        throw std::runtime_error("no participant");
+    }
+    return made;
+}
+
 class Robot {
 public:
-    Robot(int domain, bool reliable, bool variance, const std::string& address) : reliable_(reliable), variance_(variance) {
-        DomainParticipantQos qos;
-        auto udp = std::make_shared<UDPv4TransportDescriptor>();
-        udp->interfaceWhiteList.push_back(address);
-        qos.transport().use_builtin_transports = false;
-        qos.transport().user_transports.push_back(udp);
-        participant_ = DomainParticipantFactory::get_instance()->create_participant(domain, qos);
-        if (!participant_) {
-            throw std::runtime_error("no participant");
-        }
+    Robot(int domain, bool reliable, bool variance, bool poses, const std::string& address)
+        : reliable_(reliable), variance_(variance), participant_(joined(domain, address)) {
         publisher_ = participant_->create_publisher(PUBLISHER_QOS_DEFAULT);
-        subscriber_ = participant_->create_subscriber(SUBSCRIBER_QOS_DEFAULT);
-        listen("rt/map", TRANSIENT_LOCAL_DURABILITY_QOS, RELIABLE_RELIABILITY_QOS, 1, &maps_);
-        listen("rt/local_map", VOLATILE_DURABILITY_QOS, BEST_EFFORT_RELIABILITY_QOS, 10, &locals_);
+        using Map = nav_msgs::msg::dds_::OccupancyGrid_PubSubType;
+        const auto map = "nav_msgs::msg::dds_::OccupancyGrid_";
+        listen<Map>(participant_, "rt/map", map, TRANSIENT_LOCAL_DURABILITY_QOS, RELIABLE_RELIABILITY_QOS, 1, &maps_);
+        listen<Map>(participant_, "rt/local_map", map, VOLATILE_DURABILITY_QOS, BEST_EFFORT_RELIABILITY_QOS, 10,
+                    &locals_);
+        if (poses) {  // by a participant of its own, which the topics of this one do not wait for
+            listener_ = joined(domain, address);
+            listen<tf2_msgs::msg::dds_::TFMessage_PubSubType>(
+                listener_, "rt/tf", "tf2_msgs::msg::dds_::TFMessage_", VOLATILE_DURABILITY_QOS,
+                RELIABLE_RELIABILITY_QOS, 100, &transforms_);
+            listen<geometry_msgs::msg::dds_::PoseWithCovarianceStamped_PubSubType>(
+                listener_, "rt/amcl_pose", "geometry_msgs::msg::dds_::PoseWithCovarianceStamped_",
+                TRANSIENT_LOCAL_DURABILITY_QOS, RELIABLE_RELIABILITY_QOS, 1, &robot_poses_);
+        }
     }
 
     ~Robot() {
-        participant_->delete_contained_entities();
-        DomainParticipantFactory::get_instance()->delete_participant(participant_);
+        for (DomainParticipant* each : {participant_, listener_}) {
+            if (each) {
+                each->delete_contained_entities();
+                DomainParticipantFactory::get_instance()->delete_participant(each);
+            }
+        }
     }
 
     void play(std::istream& in) {
@@ -135,6 +201,8 @@ public:
                 transform(what == "static", words);
             } else if (what == "odom") {
                 odometry(words);
+            } else if (what == "initial") {
+                initial(words);
             } else if (what == "range") {
                 range(words);
             } else if (what == "text") {
@@ -168,7 +236,7 @@ private:
             qos.history().depth = 100;
             qos.publish_mode().kind = SYNCHRONOUS_PUBLISH_MODE;
             qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
-            writer = publisher_->create_datawriter(topic_of<Type>("rt/" + topic, type_name), qos);
+            writer = publisher_->create_datawriter(topic_of<Type>(participant_, "rt/" + topic, type_name), qos);
             if (!writer) {
                 throw std::runtime_error("no writer for " + topic);
             }
@@ -177,22 +245,23 @@ private:
     }
 
     template <class Type>
-    Topic* topic_of(const std::string& name, const std::string& type_name) {
-        TypeSupport(new Type()).register_type(participant_, type_name);
-        return participant_->create_topic(name, type_name, TOPIC_QOS_DEFAULT);
+    static Topic* topic_of(DomainParticipant* of, const std::string& name, const std::string& type_name) {
+        TypeSupport(new Type()).register_type(of, type_name);
+        return of->create_topic(name, type_name, TOPIC_QOS_DEFAULT);
     }
 
-    void listen(const std::string& topic, DurabilityQosPolicyKind durability, ReliabilityQosPolicyKind reliability,
-                int depth, MapListener* listener) {
+    template <class Type>
+    static void listen(DomainParticipant* of, const std::string& topic, const std::string& type_name,
+                       DurabilityQosPolicyKind durability, ReliabilityQosPolicyKind reliability, int depth,
+                       DataReaderListener* listener) {
         DataReaderQos qos;
         qos.durability().kind = durability;
         qos.reliability().kind = reliability;
         qos.history().kind = KEEP_LAST_HISTORY_QOS;
         qos.history().depth = depth;
         qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
-        const auto type = "nav_msgs::msg::dds_::OccupancyGrid_";
-        if (!subscriber_->create_datareader(topic_of<nav_msgs::msg::dds_::OccupancyGrid_PubSubType>(topic, type), qos,
-                                            listener)) {
+        Subscriber* subscriber = of->create_subscriber(SUBSCRIBER_QOS_DEFAULT);
+        if (!subscriber->create_datareader(topic_of<Type>(of, topic, type_name), qos, listener)) {
             throw std::runtime_error("no reader for " + topic);
         }
     }
@@ -242,6 +311,22 @@ private:
             ->write(&message);
     }
 
+    void initial(std::istream& words) {
+        std::string stamp, frame;
+        words >> stamp >> frame;
+        const auto v = numbers(words);
+        geometry_msgs::msg::dds_::PoseWithCovarianceStamped_ message;
+        message.header().stamp(time_of(stamp));
+        message.header().frame_id(frame);
+        auto& pose = message.pose().pose();
+        pose.position().x(v[0]), pose.position().y(v[1]), pose.position().z(v[2]);
+        pose.orientation().x(v[3]), pose.orientation().y(v[4]), pose.orientation().z(v[5]), pose.orientation().w(v[6]);
+        auto& spread = message.pose().covariance();
+        words >> spread[0] >> spread[7] >> spread[35];
+        writer<geometry_msgs::msg::dds_::PoseWithCovarianceStamped_PubSubType>(
+            "initialpose", "geometry_msgs::msg::dds_::PoseWithCovarianceStamped_", true, false)->write(&message);
+    }
+
     void range(std::istream& words) {
         using namespace sensor_msgs::msg::dds_;
         std::string topic, stamp, frame, v[4];
@@ -286,28 +371,31 @@ private:
 
     bool reliable_, variance_;
     DomainParticipant* participant_ = nullptr;
+    DomainParticipant* listener_ = nullptr;
     Publisher* publisher_ = nullptr;
-    Subscriber* subscriber_ = nullptr;
     std::map<std::string, DataWriter*> writers_;
     MapListener maps_{"map"}, locals_{"local"};
+    TransformListener transforms_;
+    PoseListener robot_poses_;
     Clock::time_point start_;
 };
 
 int main(int argc, char** argv) {
     if (argc < 2) {
-        std::fprintf(stderr, "robot: found no domain, expected: robot DOMAIN [reliable] [variance] [on=ADDRESS]\n");
+        std::fprintf(stderr, "robot: found no domain, expected: robot DOMAIN [reliable] [variance] [poses] [on=ADDRESS]\n");
         return 2;
     }
-    bool reliable = false, variance = false;
+    bool reliable = false, variance = false, poses = false;
     std::string address = "127.0.0.1";
     for (int i = 2; i < argc; ++i) {
         const std::string word = argv[i];
         reliable = reliable || word == "reliable";
         variance = variance || word == "variance";
+        poses = poses || word == "poses";
         address = word.rfind("on=", 0) == 0 ? word.substr(3) : address;
     }
     try {
-        Robot(std::stoi(argv[1]), reliable, variance, address).play(std::cin);
+        Robot(std::stoi(argv[1]), reliable, variance, poses, address).play(std::cin);
     } catch (const std::exception& error) {
         std::fprintf(stderr, "robot: %s\n", error.what());
         return 2;

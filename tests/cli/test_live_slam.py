@@ -1,0 +1,118 @@
+"""``live --slam`` against a robot on Fast DDS whose odometry drifts."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from commands import SAMPLE
+from echogrid import Robot, load_log
+from echogrid.geometry import compose, wrap
+from echogrid.metrics import SURFACE
+from echogrid.output.map_file import read_map, read_truth
+from echogrid.output.map_server_file import occupancy
+from echogrid.yaml_keys import parse_yaml
+from experiments.studies.position.odometry import Odometry
+from peers.fastdds import peer
+
+pytest.importorskip("echogrid.live.dds", reason="found no cyclonedds")
+pytestmark = pytest.mark.skipif(peer.missing() is not None, reason=f"Fast DDS peer: {peer.missing()}")
+
+B21 = Robot.load("b21")
+FRAMES = list(load_log(SAMPLE, B21))
+TRUTH = np.array([frame.pose for frame in FRAMES])
+TOLD = Odometry().times(2).of(TRUTH, np.random.default_rng(3))
+STAMPS = peer.START_S + np.array([frame.stamp - FRAMES[0].stamp for frame in FRAMES])
+SPEED = 4.0
+
+
+def script(poses, ranges) -> list[str]:
+    """A drive as the robot plays it, until it is ended."""
+    lines = peer.opening(B21.mounts)
+    for stamp, pose, heard in zip(STAMPS, poses, ranges, strict=True):
+        lines.append(f"at {(stamp - STAMPS[0]) / SPEED}")
+        lines += peer.frame_lines(stamp, pose, heard, (B21.min_range_m, B21.max_range_m))
+    return [*lines, f"at {(STAMPS[-1] - STAMPS[0]) / SPEED + 300}"]
+
+
+def played(network, folder: Path, lines: list[str], *options: object) -> dict:
+    """What came of a drive that was played to ``echogrid live``, which was stopped when it had mapped all of it."""
+    program = peer.build()
+    (folder / "drive.txt").write_text("\n".join(lines) + "\n")
+    echogrid = Path(sys.executable).with_name("echogrid")
+    environment = {name: value for name, value in os.environ.items() if name != "CYCLONEDDS_URI"}
+    live = network.start(echogrid, "live", "--domain", "9", "--out", folder / "out", *options, env=environment,
+                         stdout=subprocess.PIPE, stderr=subprocess.PIPE)  # fmt: skip
+    with open(folder / "drive.txt") as drive, open(folder / "heard.txt", "w") as heard:
+        network.start(program, 9, "poses", stdin=drive, stdout=heard)
+    deadline = time.monotonic() + 200
+    last = 0.0
+    while last < STAMPS[-1]:
+        assert time.monotonic() < deadline, live.poll()
+        time.sleep(0.5)
+        last = max((each.stamp for each in peer.heard((folder / "heard.txt").read_text())), default=0.0)
+    time.sleep(3.0)
+    live.send_signal(signal.SIGINT)
+    out, errors = live.communicate(timeout=60)
+    text = (folder / "heard.txt").read_text()
+    return {"maps": peer.heard(text), "poses": peer.heard_poses(text), "out": out, "errors": errors,
+            "status": live.returncode, "folder": folder / "out"}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    with peer.namespace() as network:
+        folder = tmp_path_factory.mktemp("live-slam")
+        return played(network, folder, script(TOLD, [frame.ranges for frame in FRAMES]), "--slam")
+
+
+def beside_walls(grid) -> float:
+    """Share of the occupied cells of a map of the sample that lie within 15 cm of a true wall."""
+    truth = read_truth(SAMPLE.with_name("sample.truth.npz"))
+    rows_cols = np.argwhere(truth.cells == SURFACE)
+    walls = (rows_cols[:, ::-1] + 0.5) * truth.resolution + truth.origin
+    cells = grid.centre_of(np.argwhere(grid.probability() > 0.65))
+    near = [np.min(np.hypot(*(walls - cell).T)) < 0.15 for cell in cells]
+    return float(np.mean(near))
+
+
+def test_the_robot_hears_where_its_odometry_lies_in_the_map(session):
+    told = [each for each in session["poses"] if each.kind == "tf"]
+    assert {(each.frame, each.child) for each in told} == {("map", "odom")}
+    assert len(told) > 0.5 * len(FRAMES)  # where scans waited there is one for ten of them
+    stamps = np.array([each.stamp for each in told]) - 1.0  # the tolerance
+    assert np.isin(np.rint(stamps * 1e3), np.rint(STAMPS * 1e3)).all()
+    at = np.searchsorted(STAMPS, stamps - 1e-4)
+    found = compose(np.array([each.pose for each in told]), TOLD[at])
+    off = np.hypot(*(found - TRUTH[at])[:, :2].T)
+    drift = np.hypot(*(TOLD - TRUTH)[:, :2].T)
+    assert drift[-1] > 2.0
+    assert off[-1] < 0.3
+    assert abs(wrap(found[-1, 2] - TRUTH[at[-1], 2])) < np.deg2rad(10)
+    assert np.sqrt(np.mean(off**2)) < 0.3 * np.sqrt(np.mean(drift**2))
+
+
+def test_the_map_lies_in_map_and_is_not_double(session):
+    last = [each for each in session["maps"] if each.kind == "map"][-1]
+    assert last.frame == "map"
+    saved = read_map(session["folder"])
+    assert beside_walls(saved) > 0.7
+    np.testing.assert_array_equal(np.unique(last.cells), [-1, 0, 100])
+    assert np.mean(last.cells == 100) < 2 * np.mean(occupancy(saved) == 100)
+
+
+def test_what_was_found_is_saved_and_said(session):
+    assert session["status"] == 0
+    run = parse_yaml((session["folder"] / "run.yaml").read_text(), "run.yaml")
+    assert run["slam"] is True
+    assert run["loops"] > 0
+    assert set(run["odometry"]) == {"way_times", "turns_times", "heading_deg_m"}
+    lines = session["errors"].splitlines()
+    assert all(line.startswith("live: ") for line in lines)
+    assert sum("mapping in map, with odometry in odom, with 24 sonars of base_link" in line for line in lines) == 1
+    assert "Traceback" not in session["errors"]
