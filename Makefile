@@ -60,6 +60,7 @@ bench: $(READY)  ## speed and memory (about 14 minutes; python -m benchmarks.liv
 	$(BIN)/python -m benchmarks.memory
 	$(BIN)/python -m benchmarks.bags
 	$(BIN)/python -m benchmarks.core
+	$(BIN)/python -m benchmarks.mrpt
 	$(BIN)/python -m benchmarks.live latency
 	$(BIN)/python -m benchmarks.microcontroller
 

@@ -1,32 +1,42 @@
 """A compiled peer: MRPT's occupancy grid (``COccupancyGridMap2D``) fed with sonar readings (``CObservationRange``).
 
 ``mrpt/install.sh`` installs MRPT and builds the harness that ``mrpt_map`` runs. As a script: its speed on the drive
-of mapping.py, as MRPT comes and with the cones centred; one line where the harness is not built.
+of mapping.py, as MRPT comes and with the cones centred, beside that of the paper's network on as many threads, in
+turns; one line where the harness is not built. Target: the network maps at least as many scans a second.
 
 MRPT draws the cone of a sonar clockwise from the sonar's axis instead of to both sides of it, so that all it says
 lies half a beam off. ``centred=True`` undoes that from outside, by turning each sonar half a beam to the left.
 """
 
 import os
-import statistics
 import subprocess
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from echogrid import _core
 from echogrid.errors import UsageError
 from echogrid.frame import Frame
 from echogrid.geometry import transform
 from echogrid.grid import Grid, logit
+from echogrid.mapping.mapper import Mapper
 from echogrid.robot import Robot
 
 HARNESS = Path(__file__).parent / "mrpt" / "build" / "mrpt_grid"
 
 BORDER_CELLS = 18
 """Cells kept free round all that is drawn: MRPT enlarges a grid, and so moves its cells, from 15 cells on."""
+
+SCANS, TURNS, CELL_M = 20_000, 7, 0.12
+"""Of the script."""
+
+WARM = 128
+"""Scans that are mapped before it begins."""
 
 
 def available() -> bool:
@@ -51,7 +61,7 @@ def mrpt_map(
     occupied_certainty: float = 0.65,
     free_certainty: float = 0.0,
     invalid_as_free: bool = True,
-) -> tuple[Grid, float]:
+) -> tuple[Grid, float, float]:
     """The map that MRPT makes of a drive. What is not given has MRPT's own default.
 
     Args:
@@ -72,8 +82,9 @@ def mrpt_map(
             ``max_distance_m``; otherwise it changes nothing.
 
     Returns:
-        The map, and the seconds that MRPT spent on inserting the readings. Cells are observed where MRPT's
-        probability is not 0.5: the rare cell in which evidence cancels to nothing counts as not observed.
+        The map, and the seconds that MRPT spent on inserting the readings, by the clock and of the CPU. Cells are
+        observed where MRPT's probability is not 0.5: the rare cell in which evidence cancels to nothing counts as not
+        observed.
 
     Raises:
         UsageError: the harness is not built, or does not take the drive or an option.
@@ -104,7 +115,8 @@ def mrpt_map(
     answer, _, cells = _run(drive).partition(b"\ndata\n")
     numbers = {key: float(value) for key, value in (line.split() for line in answer.decode().splitlines())}
     p_free = np.frombuffer(cells, np.float32).reshape(int(numbers["rows"]), int(numbers["cols"]))
-    return Grid(occupied_log_odds(p_free), p_free != 0.5, resolution, (x0, y0)), numbers["seconds"]
+    grid = Grid(occupied_log_odds(p_free), p_free != 0.5, resolution, (x0, y0))
+    return grid, numbers["seconds"], numbers["cpu_seconds"]
 
 
 def occupied_log_odds(p_free: Float[ndarray, "rows cols"]) -> Float[ndarray, "rows cols"]:
@@ -151,21 +163,51 @@ def _run(drive: bytes, *arguments: str) -> bytes:
     return done.stdout
 
 
+def by_mrpt(frames: Sequence[Frame], robot: Robot, centred: bool, threads: int) -> tuple[float, float]:
+    """Seconds by the clock and of the CPU in which MRPT maps a drive.
+
+    It has no threads: with two it makes two maps, each of half of the drive, which nobody puts together.
+    """
+    each = len(frames) // threads
+    parts = [frames[k * each : (k + 1) * each] for k in range(threads)]
+    with ThreadPoolExecutor(threads) as pool:
+        clock, cpu = zip(*pool.map(lambda part: mrpt_map(part, robot, CELL_M, centred)[1:], parts), strict=True)
+    return max(clock), sum(cpu)
+
+
+def by_network(frames: Sequence[Frame], robot: Robot, threads: int) -> tuple[float, float]:
+    """The same of the paper's network, from frames to the map, its start apart."""
+    mapper = Mapper(robot, "network", CELL_M)
+    mapper.add(frames[:WARM])
+    _core.set_threads(threads)
+    clock, cpu = time.perf_counter(), time.process_time()
+    mapper.add(frames)
+    return time.perf_counter() - clock, time.process_time() - cpu
+
+
 def main() -> None:
     if not available():
         print("mrpt: not built (benchmarks/mrpt/install.sh)")
         return
     # It imports JAX, which who imports this module may do without.
-    from benchmarks.mapping import RUNS, SCANS, long_log
+    from benchmarks.mapping import long_log
 
     robot, frames = Robot.load("b21"), list(long_log(SCANS))
-    print(f"mrpt: {version()}, {SCANS} scans of {robot.sonars} sonars, cells of 0.12 m, one thread")
-    for name, centred in (("as shipped", False), ("centred", True)):
-        times = [mrpt_map(frames, robot, 0.12, centred)[1] for _ in range(RUNS)]
-        print(
-            f"  {name}: {SCANS / statistics.median(times):.0f} scans/s "
-            f"(median of {RUNS} runs; best {SCANS / min(times):.0f})"
-        )
+    print(f"mrpt: {version()}, {SCANS} scans of {robot.sonars} sonars, cells of {CELL_M} m; least of {TURNS} turns")
+    before = _core.threads()
+    for threads in (1, 2):
+        rows: dict[str, Callable[[], tuple[float, float]]] = {
+            "MRPT as shipped": lambda threads=threads: by_mrpt(frames, robot, False, threads),
+            "MRPT centred": lambda threads=threads: by_mrpt(frames, robot, True, threads),
+            "the paper's network": lambda threads=threads: by_network(frames, robot, threads),
+        }
+        turns = np.array([[work() for work in rows.values()] for _ in range(TURNS)])
+        for name, (clock, cpu) in zip(rows, SCANS / turns.min(axis=0), strict=True):
+            print(
+                f"  {threads} thread{'s' * (threads > 1)}, {name}: {clock:.0f} scans/s by the clock, "
+                f"{cpu:.0f} by the CPU time of one"
+            )
+    _core.set_threads(before)
 
 
 if __name__ == "__main__":

@@ -39,7 +39,7 @@ platforms=()
 for glibc in 17 27 28; do platforms+=(--platform manylinux_2_${glibc}_aarch64); done
 rm -rf $out/site
 pip install --quiet --target $out/site --only-binary :all: --implementation cp --python-version 3.13 "${platforms[@]}" \
-    --platform manylinux2014_aarch64 --constraint constraints.txt numpy scipy pytest hypothesis jaxtyping beartype
+    --platform manylinux2014_aarch64 --constraint constraints.txt numpy scipy pytest hypothesis jaxtyping beartype pyyaml
 python -m zipfile -e $out/wheel/*.whl $out/site
 cat >$out/python <<END
 #!/bin/sh
@@ -48,6 +48,10 @@ END
 chmod +x $out/python
 # Tests that start a Python start it the same way.
 echo "import sys; sys.executable = '$PWD/$out/python'" >$out/site/sitecustomize.py
-# What is compiled once is kept: qemu compiles slowly, and each test that starts a Python would do it again.
-PYTHONDONTWRITEBYTECODE= PYTHONPATH=$out/site $out/python -m pytest -o addopts="-q --strict-markers --import-mode=importlib" \
-    -p no:cacheprovider tests/core
+# What the kernels make of random things here, to compare theirs with.
+python tests/kernel_samples.py $out/here.npz
+# What is compiled once is kept: qemu compiles slowly, and each test that starts a Python would do it again. The tests
+# are those of the kernels and of what they are called from; what is not compiled for a processor alone is left out.
+ECHOGRID_SAMPLES=$PWD/$out/here.npz PYTHONDONTWRITEBYTECODE= PYTHONPATH=$PWD/$out/site $out/python -m pytest \
+    -o addopts="-q --strict-markers --import-mode=importlib" -p no:cacheprovider --durations=5 \
+    tests/core/test_{instructions,denormals,score,pool,drive}.py
