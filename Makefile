@@ -46,12 +46,12 @@ check: $(READY)  ## lint, format and types
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/ty check
-	$(BIN)/clang-format --dry-run --Werror core/*.cpp core/*.hpp $(C)
+	$(BIN)/clang-format --dry-run --Werror core/*.cpp core/*.hpp tests/core/*.cpp $(C)
 
 format: $(READY)  ## put the code into shape
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
-	$(BIN)/clang-format -i core/*.cpp core/*.hpp $(C)
+	$(BIN)/clang-format -i core/*.cpp core/*.hpp tests/core/*.cpp $(C)
 
 bench: $(READY)  ## speed and memory (about 14 minutes; python -m benchmarks.live hour takes 8 more)
 	$(BIN)/python -m benchmarks.simulator

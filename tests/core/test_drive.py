@@ -27,7 +27,7 @@ def drawn(seed, scans, sonars):
     mounts[rng.random(sonars) < 0.1] = nan
     ranges[:, np.isnan(mounts[:, 2])] = nan
     poses = np.cumsum(rng.normal(0, [0.05, 0.05, 0.2], (scans, 3)), axis=0) + np.array([5, -5, 3])
-    return mounts, poses, ranges, np.cumsum(rng.uniform(0, 0.4, scans))
+    return mounts, poses, ranges, np.cumsum(rng.uniform(-0.1, 0.4, scans))
 
 
 def remembered(mounts, poses, ranges, stamps, new, half_life):

@@ -1,4 +1,6 @@
 import os
+import platform
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +10,8 @@ import pytest
 from echogrid import _core
 from echogrid.errors import UsageError
 
+ROOT = Path(__file__).parents[2]
+X86 = platform.machine() in ("x86_64", "AMD64")
 LINUX = pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="counts threads as Linux does")
 
 SCORE = """
@@ -81,6 +85,18 @@ if child == 0:
 print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), score() == expected)
 """
     assert said(code) == ["0", "True"]
+
+
+@pytest.mark.skipif(not (shutil.which("c++") and X86), reason="needs c++ and what ThreadSanitizer runs on")
+@pytest.mark.parametrize("flags", [["-O2"], ["-O1", "-g", "-fsanitize=thread"]], ids=["fast", "watched"])
+def test_each_part_of_a_run_is_done_once_and_before_it_ends(flags, tmp_path):
+    sources = ROOT / "core" / "pool.cpp", Path(__file__).with_name("pool.cpp")
+    command = ["c++", "-std=c++20", "-pthread", *flags, "-I", ROOT / "core", *sources, "-o", tmp_path / "pool"]
+    subprocess.run(command, check=True, capture_output=True)
+    done = subprocess.run([tmp_path / "pool"], capture_output=True, text=True, timeout=100, check=False)
+    if "unexpected memory mapping" in done.stderr:
+        pytest.skip("ThreadSanitizer does not run on this machine")
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("count", [0, -1, 257, 10**12])
