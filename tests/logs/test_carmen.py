@@ -187,8 +187,8 @@ def test_carmen_holds_back_a_bounded_number_of_messages(tmp_path, monkeypatch):
 
 
 def test_a_carmen_log_is_streamed(tmp_path):
-    path = put(tmp_path, messages(*(line for i in range(8000) for line in (odom(i, 0, 0, i), sonar(i)))))
-    assert path.stat().st_size > 8e5
+    path = put(tmp_path, messages(*(line for i in range(4000) for line in (odom(i, 0, 0, i), sonar(i)))))
+    assert path.stat().st_size > 4e5
     describe(load_log(path))  # what is made once, and kept, counts for no log
     assert peak_of(lambda: describe(load_log(path))) < 4.5e5
 
