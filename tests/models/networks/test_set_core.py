@@ -88,6 +88,17 @@ def test_networks_of_any_width_are_worked_out(units):
     np.testing.assert_allclose(found.values(), table, atol=1e-3)
 
 
+def test_beams_narrower_than_a_degree_are_alike_and_wider_ones_are_told_apart():
+    mounts, longest, ranges, traits = drawn(1, 20)
+
+    def told_of(beam_deg):
+        array = set_core.sonar_array(mounts, longest, FOOTPRINT_M, np.deg2rad(beam_deg), True)
+        return core().tables(array, ranges, traits).values()
+
+    np.testing.assert_array_equal(told_of(0.0), told_of(1.0))
+    assert min(np.max(np.abs(told_of(wide) - told_of(1.0))) for wide in (1.2, 3, 9)) > 0.01
+
+
 @pytest.mark.parametrize("name", preset_names())
 def test_ties_between_the_sonars_of_a_regular_array_are_broken_alike(name):
     robot = Robot.load(name)
