@@ -129,6 +129,38 @@ def test_a_part_that_is_read_is_that_of_the_whole_and_the_rest_follows(around):
     assert ring.any() == around
 
 
+OTHER = replace(ROBOT, mounts=B21.mounts[:9], beam_width_rad=0.9)
+
+
+@pytest.mark.parametrize(
+    ("place", "other"),
+    [((0.0, 0.0), ROBOT), ((1.5, -2.0), ROBOT), ((-2.0, 1.5), ROBOT), ((0.0, 0.0), OTHER)],
+    ids=["a few cells", "floor behind them", "floor before them", "another array"],
+)
+def test_what_changes_later_is_read_as_if_it_had_been_there_from_the_beginning(place, other):
+    rng = np.random.default_rng(1)
+    network, wide, few = network_of(), (200, 210), (6, 9)
+    first = told_at([-100, -105], wide, random_sums(rng, wide), (0.0, 0.0))
+    second = told_at([-3, -4], few, random_sums(rng, few, 1.0), place)
+    fusion, grown = map_of(network)
+    fused(fusion, grown, first)
+    before = read(fusion, grown).log_odds.copy()
+    if other is not ROBOT:
+        fusion.equip(other)
+    fused(fusion, grown, second)
+    after = read(fusion, grown)
+    once, anew = map_of(network, other)
+    for evidence in (first, second):
+        fused(once, anew, evidence)
+    expected = read(once, anew)
+    np.testing.assert_allclose(after.log_odds, expected.log_odds, atol=1e-5)
+    np.testing.assert_array_equal(after.observed, expected.observed)
+    # All round.
+    changed = np.argwhere(np.abs(after.log_odds - before) > 1e-5)
+    assert np.all(changed.min(axis=0) < (97, 101))
+    assert np.all(changed.max(axis=0) > (103, 110))
+
+
 def passes_of(network, counts, seed=0):
     """Log-odds after so many passes over the same evidence, but for floor that was stood on."""
     rng = np.random.default_rng(seed)

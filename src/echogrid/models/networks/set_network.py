@@ -261,8 +261,10 @@ class _Sums(Fusion):
         begin, size = grown.reserved()
         low, high = begin, begin + size
         if self._half_life is None and not self._other_array:  # else all of it changes
-            low = np.maximum(low, self._stale[0] - surroundings.REACH)
-            high = np.minimum(high, self._stale[1] + surroundings.REACH)
+            pack, reach = surroundings.PACK, surroundings.REACH
+            # Whole squares: a cell reaches as far as the one beside it in its square.
+            low = np.maximum(low, (self._stale[0] - reach) // pack * pack)
+            high = np.minimum(high, -(-(self._stale[1] + reach) // pack) * pack)
         first, last = np.maximum(corner, low), np.minimum(corner + shape, high)
         for row in range(int(first[0]), int(last[0]), STRIP):
             self._read(grown, np.array([row, first[1]]), np.array([min(row + STRIP, last[0]), last[1]]))
