@@ -2,9 +2,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy import inf
 
 dds_types = pytest.importorskip("echogrid.live.dds_types", reason="found no cyclonedds")
 from cyclonedds.idl import IdlStruct  # noqa: E402
+from cyclonedds.idl._support import Endianness  # noqa: E402
 
 
 def grid_message(cells):
@@ -30,6 +32,28 @@ def range_message(kind, *more):
 def test_a_range_reads_the_message_of_later_releases():
     new = range_message(dds_types.RangeWithVariance, 0.01).serialize()
     assert dds_types.Range.deserialize(new) == range_message(dds_types.Range)
+
+
+def transforms(*names):
+    place = dds_types.Transform(dds_types.Vector3(1.0, -2.5, 3.0), dds_types.Quaternion(0.1, 0.2, 0.3, 0.4))
+    each = [
+        dds_types.TransformStamped(dds_types.Header(dds_types.Time(-7, 8), parent), child, place)
+        for parent, child in names
+    ]
+    return dds_types.TFMessage(each)
+
+
+@pytest.mark.parametrize("length", range(9))
+def test_what_comes_most_is_read_fast_as_it_would_be_slowly(length):
+    """The gaps before numbers are of every length; half a message is refused."""
+    names = [("odom"[: length % 4 + 1], "ä" * length), ("", "base_link"[:length])]
+    ranges = dds_types.Range(dds_types.Header(dds_types.Time(-1, 2**32 - 1), "s" * length), 1, 0.5, 0.25, 5.0, inf)
+    for message in (transforms(), transforms(*names), ranges):
+        kind, data = type(message), message.serialize()
+        assert kind.deserialize(data) == message
+        assert isinstance(kind.deserialize(data[:-1]), dds_types.Refused)
+        big = message.serialize(endianness=Endianness.Big)
+        assert kind.deserialize(big) == message
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """The map of a robot that drives: scans go in as they are complete, pictures of it come out when they are due."""
 
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from math import inf
@@ -145,24 +145,24 @@ class LiveMap:
         """Whether scans wait to be mapped."""
         return bool(self._ready)
 
-    def step(self, now: float, reach: float) -> list[Picture | Correction]:
-        """Map some of the scans that are complete; what is to be published by then.
+    def step(self, now: float, reach: float) -> Iterator[Picture | Correction]:
+        """Map some of the scans that are complete; what is to be published by then, what is urgent first.
+
+        A picture is drawn when it is asked for: what is sent at once does not wait for the next.
 
         Args:
             now: the caller's clock, s.
             reach: as of ``Scans.frames``, s.
         """
         self._gather(reach)
-        pictures: list[Picture | Correction] = []
         if self.placing and (renewed := self.placing.renewed(now)):
             self._renew(renewed)
         if self._map(AT_ONCE):
-            pictures += self.placing.sent() if self.placing else []
-            pictures.append(self._picture(local=True))
+            yield from self.placing.sent() if self.placing else ()
+            yield self._picture(local=True)
         if self._changed and now >= self._due:
             self._changed, self._due = False, now + MAP_EVERY_S
-            pictures.append(self._picture(local=False))
-        return pictures
+            yield self._picture(local=False)
 
     def catch_up(self, reach: float, final: bool = False) -> None:
         """Map all scans that are complete; arguments as of ``Scans.frames``."""

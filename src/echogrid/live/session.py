@@ -1,7 +1,7 @@
 """A map made while the robot drives: messages of ROS in, maps to publish out; no network and no clock of its own."""
 
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from math import inf
 from typing import Any
 
@@ -91,35 +91,38 @@ class Live:
                 self._said.add(text)
                 self._notices.append(text)
 
-    def step(self, now: float) -> list[Picture | Correction]:
-        """Map what has come, and say what is to be published.
+    def step(self, now: float) -> Iterator[Picture | Correction]:
+        """Map what has come, and say what is to be published: to be gone through to its end.
 
         Args:
             now: as for ``take``, s.
         """
         hearing = self._hearing
+        if self._map is not None:
+            known = hearing.transforms.known(self._map.array.fixed, self._map.array.base)
+            behind = known is not None and hearing.newest - known[1] > LAG_S
+            yield from self._map.step(now, REACH_S if behind else 0.0)
+            self._notices += self._map.placing.notices() if self._map.placing else ()
         if now >= self._check_due:
             self._check_due = now + CHECK_S
-            hearing.bring_together()
-            if self._map is not None:
-                self._watch(self._map.array, now)
-                self._admit(self._map, now)
-                self._judge_due = min(self._judge_due, now + JUDGE_S)
-            elif hearing.settled(now):
-                self._settle()
-            hearing.tidy()
-            if hearing.settled(now):
-                self._doubt()
-            if now >= self._judge_due:
-                self._judge_due = now + JUDGE_EVERY_S
-                self._judge()
-        if self._map is None:
-            return []
-        known = hearing.transforms.known(self._map.array.fixed, self._map.array.base)
-        behind = known is not None and hearing.newest - known[1] > LAG_S
-        sent = self._map.step(now, REACH_S if behind else 0.0)
-        self._notices += self._map.placing.notices() if self._map.placing else ()
-        return sent
+            self._check(now)
+
+    def _check(self, now: float) -> None:
+        """Look what was heard, and tell what is to be told."""
+        hearing = self._hearing
+        hearing.bring_together()
+        if self._map is not None:
+            self._watch(self._map.array, now)
+            self._admit(self._map, now)
+            self._judge_due = min(self._judge_due, now + JUDGE_S)
+        elif hearing.settled(now):
+            self._settle()
+        hearing.tidy()
+        if hearing.settled(now):
+            self._doubt()
+        if now >= self._judge_due:
+            self._judge_due = now + JUDGE_EVERY_S
+            self._judge()
 
     def finish(self) -> None:
         """Map what was gathered and is not yet a whole scan: nothing comes any more."""

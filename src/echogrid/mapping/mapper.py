@@ -159,6 +159,9 @@ class Mapper:
         side_m = Limits(self.resolution, self.resolution * _MOST_AROUND, "m").check(side_m, "around: side_m")
         cells = round(side_m / self.resolution)
         corner = np.floor(np.array([y, x]) / self.resolution).astype(np.int64) - cells // 2
+        if self.cell_m == self.resolution:
+            self._fusion.read_out(self._grown, *self._grown.reserved(corner, (cells, cells)))
+            return self._grown.part(corner, (cells, cells))
         low = np.floor(corner * self.resolution / self.cell_m).astype(np.int64) - 1
         high = np.ceil((corner + cells) * self.resolution / self.cell_m).astype(np.int64) + 1
         held = (int(high[0] - low[0]), int(high[1] - low[1]))
