@@ -28,6 +28,7 @@ namespace {
 constexpr size_t rows_of_a_part = 16;
 constexpr size_t least_scans_of_parts = 6;  // to wake another thread for fewer takes longer than they do
 constexpr size_t squares_of_a_part = 8;
+constexpr size_t groups_of_a_part = 2;  // of 4 rows of squares each
 constexpr size_t most_parts_of_a_batch = 16;
 
 using Array3 = nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
@@ -94,6 +95,30 @@ struct PolarTables {
         return new_array(std::move(copy), {scans, BEARINGS});
     }
 };
+
+// Taps [3][3][in][out] as the products of convolution.hpp take them, [PRODUCTS][3][in][out].
+std::vector<float> products_of(const Array1<float>& taps, size_t units) {
+    constexpr double rows[PRODUCTS][3] = {{1.0 / 4, 0, 0},
+                                          {-1.0 / 6, -1.0 / 6, -1.0 / 6},
+                                          {-1.0 / 6, 1.0 / 6, -1.0 / 6},
+                                          {1.0 / 24, 1.0 / 12, 1.0 / 6},
+                                          {1.0 / 24, -1.0 / 12, 1.0 / 6},
+                                          {0, 0, 1},
+                                          {1, 0, 0},
+                                          {0.5, 0.5, 0.5},
+                                          {0.5, -0.5, 0.5},
+                                          {0, 0, 1}};
+    const size_t row = 3 * units * units;
+    std::vector<float> found(PRODUCTS * row);
+    for (size_t e = 0; e < PRODUCTS; ++e)
+        for (size_t i = 0; i < row; ++i) {
+            double sum = 0;
+            for (size_t tap = 0; tap < 3; ++tap)
+                sum += rows[e][tap] * static_cast<double>(taps.data()[tap * row + i]);
+            found[e * row + i] = static_cast<float>(sum);
+        }
+    return found;
+}
 
 // Floats for what is worked out, kept from call to call; whoever uses them holds the lock.
 class Room {
@@ -173,6 +198,7 @@ class Network {
             expect("surroundings", parts[i], {sizes[i]});
             around_held_.emplace_back(parts[i].data(), parts[i].data() + parts[i].size());
         }
+        for (size_t i = 0; i < LAYERS; ++i) around_held_[1 + 2 * i] = products_of(parts[1 + 2 * i], h);
         const auto at = [this](size_t i) { return static_cast<const float*>(around_held_[i].data()); };
         around_.units = units, around_.passed = passed, around_.cell_units = cell_units;
         around_.in = at(0);
@@ -220,33 +246,55 @@ class Network {
         r.padded = static_cast<int>(parts_of(static_cast<size_t>(r.wide), 16) * 16);
         r.pitch = r.padded + 2 * MARGIN;
         const auto high = static_cast<size_t>(r.high), pitch = static_cast<size_t>(r.pitch);
-        const size_t most_parts = parts_of(high, squares_of_a_part), units = static_cast<size_t>(r.around.units);
+        const auto units = static_cast<size_t>(r.around.units);
         const size_t told = high * PLANES * pitch, hidden = high * units * pitch;
-        const size_t each = static_cast<size_t>(12 * r.pitch + 16 * (CELL_FEATURES + 3 * r.around.passed));
+        // Rooms of the parts, of which most have ``squares_of_a_part`` rows; a group of rows is one at least.
+        const auto cells = static_cast<size_t>(12 * r.pitch + 16 * (CELL_FEATURES + 3 * r.around.passed));
+        const size_t each = std::max(cells, units * convolution_room);
+        const size_t most_parts = parts_of(high, squares_of_a_part) + parts_of(8, groups_of_a_part);
         const std::lock_guard<std::mutex> alone(room_.lock);
         r.told = room_.of(told + 2 * hidden + most_parts * each);
         r.hidden[0] = r.told + told, r.hidden[1] = r.hidden[0] + hidden;
         float* const own = r.hidden[1] + hidden;
-        // Rows of squares within so many of those that are written.
-        const auto in_parts = [&](int around, const auto& work) {
-            const int low = std::max(0, r.out_row / PACK - around);
-            const int end = std::min(r.high, (r.out_row + r.out_rows + PACK - 1) / PACK + around);
-            if (end <= low) return;
-            run_parts(parts_of(static_cast<size_t>(end - low), squares_of_a_part), [&](size_t part) {
-                const int first = low + static_cast<int>(part * squares_of_a_part);
-                work(first, std::min(end, first + static_cast<int>(squares_of_a_part)), own + part * each);
-            });
+        const auto in_parts = [&](const Squares& wanted, const auto& work) {
+            run_parts(parts_of(static_cast<size_t>(wanted.row_end - wanted.row), squares_of_a_part),
+                      [&](size_t part) {
+                          const int first = wanted.row + static_cast<int>(part * squares_of_a_part);
+                          work(first, std::min(wanted.row_end, first + static_cast<int>(squares_of_a_part)),
+                               own + part * each);
+                      });
         };
         int around = units ? REACH / PACK : 0;
-        in_parts(around, [&](int first, int last, float* room) { kernel.tell_cells(r, first, last, room); });
+        Squares wanted = wanted_of(r, around);
+        if (wanted.row_end <= wanted.row) return;
+        in_parts(wanted, [&](int first, int last, float* room) { kernel.tell_cells(r, first, last, room); });
         if (units) {
-            in_parts(around, [&](int first, int last, float*) { kernel.begin_stack(r, first, last); });
+            in_parts(wanted, [&](int first, int last, float*) { kernel.begin_stack(r, first, last); });
             for (int layer = 0; layer < LAYERS; ++layer) {
                 around -= DILATIONS[layer];
-                in_parts(around, [&](int first, int last, float*) { kernel.convolve(r, layer, first, last); });
+                wanted = wanted_of(r, around);
+                const int rows = wanted.row_end - wanted.row, block = 4 * DILATIONS[layer];
+                const auto groups = static_cast<size_t>((rows + block - 1) / block * DILATIONS[layer]);
+                run_parts(parts_of(groups, groups_of_a_part), [&](size_t part) {
+                    const size_t first = part * groups_of_a_part, last = std::min(groups, first + groups_of_a_part);
+                    kernel.convolve(r, layer, wanted, static_cast<int>(first), static_cast<int>(last),
+                                    own + part * each);
+                });
             }
         }
-        in_parts(0, [&](int first, int last, float* room) { kernel.finish_cells(r, first, last, room); });
+        in_parts(wanted_of(r, 0),
+                 [&](int first, int last, float* room) { kernel.finish_cells(r, first, last, room); });
+    }
+
+    // Squares within so many of those that are written.
+    static Squares wanted_of(const ReadOut& r, int around) {
+        constexpr int widest = 16;  // vector
+        const auto end = [around](int first, int count, int most) {
+            return std::min(most, (first + count + PACK - 1) / PACK + around);
+        };
+        return {std::max(0, r.out_row / PACK - around), end(r.out_row, r.out_rows, r.high),
+                std::max(0, r.out_col / PACK - around) / widest * widest,
+                (end(r.out_col, r.out_cols, r.wide) + widest - 1) / widest * widest};
     }
 
     std::vector<float> held_;

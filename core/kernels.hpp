@@ -15,7 +15,7 @@ struct Kernels {
     void (*score)(const ScoreMap& map, const ScorePoints& points, const double* poses, size_t count, float* scores);
 
     // The set network, in the order in which its kernels follow each other; see set_array.hpp, set_encoder.hpp,
-    // set_sums.hpp and surroundings.hpp.
+    // set_sums.hpp, surroundings.hpp and convolution.hpp.
     void (*prepare_array)(const SetRobot& robot, const Bearings& bearings, SetArray& array);
     void (*polar_table)(const SetWeights& w, const SetRobot& robot, const SetArray& array, const float* ranges,
                         const float* traits, float* room, float* table, float* until);
@@ -23,7 +23,7 @@ struct Kernels {
     void (*look_up)(const SetScan& scan, const float* x, const float* y, int count, float* found);
     void (*tell_cells)(const ReadOut& r, int first, int last, float* room);
     void (*begin_stack)(const ReadOut& r, int first, int last);
-    void (*convolve)(const ReadOut& r, int layer, int first, int last);
+    void (*convolve)(const ReadOut& r, int layer, const Squares& wanted, int first, int last, float* room);
     void (*finish_cells)(const ReadOut& r, int first, int last, float* room);
 
     // The paper's network; see paper_kernel.hpp.

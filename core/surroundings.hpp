@@ -1,6 +1,7 @@
 // The map read out: cells by what their views summed to, and by their surroundings.
 #pragma once
 
+#include "convolution.hpp"
 #include "dense.hpp"
 #include "set_network.hpp"
 #include "surroundings_types.hpp"
@@ -81,37 +82,6 @@ void tell_cells(const ReadOut& r, int first, int last, float* room) {
     }
 }
 
-// One after the other as many units and columns of vectors as a tile holds: work<K, T>(k, col). What is narrower than
-// the widest tile is higher, so that no sum waits for the one before; units are a multiple of 4.
-template <typename Work>
-inline void in_tiles(int units, int columns, const Work& work) {
-    constexpr int HALF = TILE / 2, ONE = TILE == 6 ? 16 : 8;
-    int col = 0;
-    for (; col + TILE * lanes <= columns; col += TILE * lanes)
-        for (int k = 0; k < units; k += 4) work.template operator()<4, TILE>(k, col);
-    const auto narrow = [&]<int K, int T>() {
-        for (; col + T * lanes <= columns; col += T * lanes) {
-            int k = 0;
-            for (; k + K <= units; k += K) work.template operator()<K, T>(k, col);
-            for (; k < units; k += 4) work.template operator()<4, T>(k, col);
-        }
-    };
-    if constexpr (HALF > 1) narrow.template operator()<8, HALF>();
-    narrow.template operator()<ONE, 1>();
-}
-
-// Past the rim all is unknown, and stays so.
-inline Floats inside(const ReadOut& r, int col, Floats value) { return counted() + col < r.wide ? value : Floats{}; }
-
-inline void clear_margins(const ReadOut& r, float* row, int units) {
-    for (int k = 0; k < units; ++k) {
-        for (int col = 0; col < MARGIN; ++col) {
-            row[k * r.pitch + col] = 0.0F;
-            row[k * r.pitch + MARGIN + r.padded + col] = 0.0F;
-        }
-    }
-}
-
 // The stack's first layer, from the cells of each square.
 void begin_stack(const ReadOut& r, int first, int last) {
     const Flushing flushing;
@@ -132,41 +102,6 @@ void begin_stack(const ReadOut& r, int first, int last) {
     }
 }
 
-// A layer of the stack: h becomes max(h + its convolution, 0).
-void convolve(const ReadOut& r, int layer, int first, int last) {
-    const Flushing flushing;
-    const int units = r.around.units, dilation = DILATIONS[layer];
-    const int64_t size = static_cast<int64_t>(units) * r.pitch;
-    const float* hidden = r.hidden[layer % 2];
-    for (int square = first; square < last; ++square) {
-        float* to = r.hidden[(layer + 1) % 2] + square * size;
-        const int low = square < dilation ? 1 : 0, high = square + dilation < r.high ? 3 : 2;
-        in_tiles(units, r.padded, [&]<int K, int T>(int k, int col) {
-            Floats sum[K][T];
-            for (int i = 0; i < K; ++i) {
-                for (int t = 0; t < T; ++t) {
-                    const float* own = hidden + square * size + (k + i) * r.pitch + MARGIN + col + t * lanes;
-                    sum[i][t] = load(own) + r.around.bias[layer][k + i];
-                }
-            }
-            for (int tap = 3 * low; tap < 3 * high; ++tap) {
-                const float* from = hidden + (square + (tap / 3 - 1) * dilation) * size + MARGIN + col;
-                tile<K, T>(
-                    r.around.layers[layer] + tap * units * units + k, units, units, from + (tap % 3 - 1) * dilation,
-                    r.pitch, [&](int i, int t) { return sum[i][t]; },
-                    [&](int i, int t, Floats total) { sum[i][t] = total; });
-            }
-            for (int i = 0; i < K; ++i) {
-                for (int t = 0; t < T; ++t) {
-                    const int at = col + t * lanes;
-                    store(to + (k + i) * r.pitch + MARGIN + at, inside(r, at, larger(sum[i][t], 0.0F)));
-                }
-            }
-        });
-        clear_margins(r, to, units);
-    }
-}
-
 // Log-odds of the cells [a][b] of squares from what is told of each and what the stack passes to it.
 inline Floats corrected(const ReadOut& r, const float* told, const float* passed, float* room) {
     const Around& w = r.around;
@@ -179,13 +114,14 @@ inline Floats corrected(const ReadOut& r, const float* told, const float* passed
     return total;
 }
 
-// Log-odds of a row of cells, and where anything is known of them, as [2][2 padded] floats.
+// Log-odds of a row of cells, and where anything is known of them, as [2][2 padded] floats, as far as they are
+// written.
 inline void finish_row(const ReadOut& r, int square, int a, float* row, float* room) {
     const Around& w = r.around;
     const float* told = r.told + static_cast<int64_t>(square) * PLANES * r.pitch + MARGIN;
     const float* hidden = r.hidden[LAYERS % 2] + static_cast<int64_t>(square) * w.units * r.pitch + MARGIN;
     float* passed = room + (CELL_FEATURES + w.passed) * lanes;
-    for (int col = 0; col < r.padded; col += lanes) {
+    for (int col = r.out_col / PACK / lanes * lanes; PACK * col < r.out_col + r.out_cols; col += lanes) {
         Floats log_odds[PACK], known[PACK];
         int p = 0;
         const auto pass = [&]<int K>() {

@@ -14,16 +14,26 @@ constexpr int PLANES =
 constexpr int LAYERS = 5;
 constexpr int DILATIONS[LAYERS] = {1, 2, 4, 8, 1};  // in squares
 constexpr int MARGIN = 8;                           // squares past the rim that the widest of them reaches
+constexpr int PRODUCTS = 6 + 4;                     // of the rows of taps, for 4 rows of squares at once and for 2
 constexpr int REACH = PACK * (1 + 2 + 4 + 8 + 1);   // cells within which the surroundings count
 
 // Weights of what reads cells with their surroundings; matrices [in][out].
 struct Around {
     int units, passed, cell_units;  // 0 units: each cell is read alone
     const float *in, *begin;        // [PACK PACK CELL_FEATURES][units]; what the robot's sonars add, [units]
-    const float *layers[LAYERS], *bias[LAYERS];  // [9][units][units]
+    const float *layers[LAYERS], *bias[LAYERS];  // [PRODUCTS][3][units][units], see convolution.hpp
     const float* pass;                           // [units][PACK PACK passed]
     const float *cell, *cell_bias, *out;         // [CELL_FEATURES + passed][cell_units]
     float scale;
+};
+
+// Columns of squares that a convolution works on at once, and its room in floats for each unit.
+constexpr int STRETCH = 96, STRETCH_PITCH = STRETCH + 2 * MARGIN;
+constexpr int convolution_room = 6 * (STRETCH_PITCH + STRETCH);
+
+// Squares that are wanted of a layer: rows, and columns by whole vectors.
+struct Squares {
+    int row, row_end, col, col_end;
 };
 
 // A rectangle of cells that is read out. It begins at even cells, and consists of whole squares.

@@ -120,7 +120,8 @@ def test_a_part_that_is_read_is_that_of_the_whole_and_the_rest_follows(around):
     read(fusion, grown, second.corner, shape)
     part = grown.part(second.corner, shape)
     whole = read(fusion, grown)
-    np.testing.assert_array_equal(part.log_odds, grown.part(second.corner, shape).log_odds)
+    # Rows are worked out several at a time, and which go together depends on the part that is read.
+    np.testing.assert_allclose(part.log_odds, grown.part(second.corner, shape).log_odds, atol=1e-5)
     once, anew = map_of(network)
     for evidence in (first, second):
         fused(once, anew, evidence)
