@@ -267,9 +267,11 @@ class Network {
         int around = units ? REACH / PACK : 0;
         Squares wanted = wanted_of(r, around);
         if (wanted.row_end <= wanted.row) return;
-        in_parts(wanted, [&](int first, int last, float* room) { kernel.tell_cells(r, first, last, room); });
+        in_parts(wanted, [&](int first, int last, float* room) {
+            kernel.tell_cells(r, first, last, room);
+            if (units) kernel.begin_stack(r, first, last);
+        });
         if (units) {
-            in_parts(wanted, [&](int first, int last, float*) { kernel.begin_stack(r, first, last); });
             for (int layer = 0; layer < LAYERS; ++layer) {
                 around -= DILATIONS[layer];
                 wanted = wanted_of(r, around);

@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <mutex>
 #include <system_error>
@@ -18,6 +19,16 @@ namespace {
 
 // Whether this thread does a part of a run: what it runs then is done by itself.
 thread_local bool inside = false;
+
+// One run often follows the other at once, and to sleep and be woken takes longer than many a run.
+constexpr std::chrono::microseconds a_little{50};
+
+template <typename Condition>
+void wait_a_little(const Condition& met) noexcept {
+    const auto end = std::chrono::steady_clock::now() + a_little;
+    while (!met() && std::chrono::steady_clock::now() < end) {
+    }
+}
 
 struct Run {
     size_t parts;
@@ -56,6 +67,7 @@ class Pool {
         inside = true;
         run.help();
         inside = false;
+        wait_a_little([this] { return helping_ == 0; });
         std::unique_lock lock(mutex_);
         calls_ = 0;  // who has not come yet need not
         left_.wait(lock, [this] { return helping_ == 0; });
@@ -84,8 +96,9 @@ class Pool {
 
     void help() noexcept {
         inside = true;
-        std::unique_lock lock(mutex_);
         for (;;) {
+            wait_a_little([this] { return calls_ > 0 || stopping_; });
+            std::unique_lock lock(mutex_);
             called_.wait(lock, [this] { return calls_ > 0 || stopping_; });
             if (stopping_) return;
             --calls_;
@@ -104,8 +117,8 @@ class Pool {
     std::condition_variable called_, left_;
     std::vector<std::thread> helpers_;  // changed by the one run alone
     Run* run_ = nullptr;
-    size_t calls_ = 0, helping_ = 0;
-    bool stopping_ = false;
+    std::atomic<size_t> calls_ = 0, helping_ = 0;  // changed with the mutex alone, but looked at without
+    std::atomic<bool> stopping_ = false;
 };
 
 // Never deleted: threads that wait at the end of the process end with it.
