@@ -62,6 +62,7 @@ bench: $(READY)  ## speed and memory (about 14 minutes; python -m benchmarks.liv
 	$(BIN)/python -m benchmarks.core
 	$(BIN)/python -m benchmarks.mrpt
 	$(BIN)/python -m benchmarks.live latency
+	$(BIN)/python -m benchmarks.live start
 	$(BIN)/python -m benchmarks.microcontroller
 
 study: $(READY)  ## score both networks and the cone on held-out rooms (about 10 minutes)

@@ -17,7 +17,7 @@ MOUNTS = [(0.2, 0.0, 0.0), (0.0, 0.2, np.pi / 2), (-0.2, 0.0, np.pi), (0.0, -0.2
 
 
 class Recorder:
-    """Stands for the mapper, which takes seconds to compile: keeps the frames."""
+    """Stands for the mapper: keeps the frames."""
 
     def __init__(self, robot, network, resolution=None, half_life=None):
         self.robot, self.half_life, self.resolution = robot, half_life, resolution or 0.04

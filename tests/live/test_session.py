@@ -81,10 +81,26 @@ def test_scans_that_wait_are_mapped_before_a_sonar_joins(live):
 
 
 def test_a_drive_that_is_over_before_it_is_sure_that_all_sonars_were_heard_is_mapped(drive):
-    drive.run(8)
+    drive.run(2)
     assert not drive.live.scans
     for _ in range(40):  # nothing comes any more; the robot does not stop for that
         drive.step()
-    assert drive.live.scans == 8
+    assert drive.live.scans == 2
     assert drive.pictures
     assert any(notice.startswith("silent: ") for notice in drive.notices)
+
+
+def test_mapping_begins_when_no_further_sonar_can_be_waited_for(drive):
+    drive.run(4)
+    assert drive.live.scans == 4
+
+
+@pytest.mark.parametrize("doubtful", ["a clock 3 s behind", "a topic without a sonar"])
+def test_mapping_begins_later_where_something_is_doubtful(drive, doubtful):
+    for _ in range(10):
+        drive.pose()
+        drive.ranges((1.0, 2.0, inf, 0.5), START_S + drive.time - 3.0 * (doubtful == "a clock 3 s behind"))
+        if doubtful == "a topic without a sonar":
+            drive.take(Heard.RANGE, "/other", range_of(START_S - 500.0, "other", 1.0))
+        drive.step()
+    assert not drive.live.scans

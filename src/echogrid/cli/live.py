@@ -1,13 +1,14 @@
 """The command about a robot that drives now: live."""
 
-import gc
 import os
+import pickle
 import re
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Thread
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
 STATUS_S = 10.0
 """How often it is said how it goes."""
 
-DISCOVER_S = 0.5
-"""How often it is looked for new topics."""
+DISCOVER_S, SOON_S = 0.5, 0.05
+"""How often it is looked for new topics; and before anything is mapped."""
 
 WAIT_S = 0.05
 """How long a signal to stop waits at most."""
@@ -149,7 +150,7 @@ def _map(mapping: "Mapping", network: "Network", saver: "_Saver", stop: list[int
         network.wait(0.0 if mapping.busy else WAIT_S)
         now = time.monotonic()
         if now >= discover_due:
-            discover_due = now + DISCOVER_S
+            discover_due = now + (DISCOVER_S if mapping.scans else SOON_S)
             network.discover()
         for heard, topic, message in network.take():
             mapping.take(heard, topic, message, now)
@@ -184,7 +185,7 @@ def _status(mapping: "Mapping", network: "Network", where: str) -> str:
 
 
 class _Saver:
-    """Saves the map now and then, beside the mapping."""
+    """Saves the map now and then, beside the mapping, and at the end."""
 
     def __init__(self, folder: Path, every: float):
         self._folder, self._every = folder, every
@@ -200,19 +201,20 @@ class _Saver:
             self._due = now + self._every
             snapshot = mapping.snapshot()
             if snapshot is not None and mapping.scans > self._scans:
-                if not self._scans:
-                    gc.freeze()  # what is there by now stays: _save is not to go through it each time
                 self._scans = mapping.scans
                 self._thread = Thread(target=self._save, args=(snapshot,))
                 self._thread.start()
 
     def _save(self, snapshot: "Snapshot") -> None:
-        try:
-            _write(self._folder, snapshot)
-        except EchogridError as error:
-            _say(f"not saved: {error}")
-        # A figure is a circle of objects that hold arrays: left to itself Python would find it many maps later.
-        gc.collect()
+        # In a process of its own: what draws would stay in this one, and take turns with what maps. A Ctrl-C is for
+        # this one alone.
+        words = [sys.executable, "-P", "-c", f"from {__name__} import save; save()"]
+        with (
+            suppress(BrokenPipeError),
+            subprocess.Popen(words, stdin=subprocess.PIPE, start_new_session=True) as process,
+        ):
+            assert process.stdin is not None
+            pickle.dump((self._folder, snapshot), process.stdin)
 
     def last(self, mapping: "Mapping", network: "Network") -> None:
         """Save the finished map."""
@@ -226,6 +228,17 @@ class _Saver:
             )
         mapping.refuse_nothing()
         _write(self._folder, snapshot)
+
+
+def save() -> None:
+    """Save the map that comes on stdin."""
+    if hasattr(os, "nice"):
+        os.nice(10)
+    folder, snapshot = pickle.load(sys.stdin.buffer)
+    try:
+        _write(folder, snapshot)
+    except EchogridError as error:
+        _say(f"not saved: {error}")
 
 
 def _write(folder: Path, snapshot: "Snapshot") -> None:

@@ -76,7 +76,7 @@ class Clock:
 class Offset:
     """How far the stamps of a topic are ahead of a clock by which it comes.
 
-    Those of its fastest messages are, for a pause, as to compile a network, delays the others.
+    Those of its fastest messages are, for a pause delays the others.
     """
 
     def __init__(self) -> None:
@@ -154,6 +154,11 @@ class Stamps:
             of.stamps.append((int(stamp.sec), int(stamp.nanosec)))
             if len(of.stamps) == _LAST:
                 of.why = _useless(of.stamps)
+
+    @property
+    def topics(self) -> int:
+        """How many topics of readings there are, whatever their stamps."""
+        return len(self._topics)
 
     def useless(self) -> dict[str, list[str]]:
         """Topics whose stamps are of no use, by what is wrong with them."""

@@ -58,7 +58,7 @@ _MAX_SAMPLE_BYTES = 64 * 1024 * 1024
 _LOG_FATAL, _MULTICAST = 1, ' multicast="true"'
 
 _DEPTH = 4_000
-"""Messages of a topic that wait here at most, while the network of the map is being compiled for instance."""
+"""Messages of a topic that wait here at most, while a large map is read out for instance."""
 
 SENSOR_QOS = Qos(
     Policy.Reliability.BestEffort,

@@ -11,7 +11,7 @@ from math import inf, isfinite, isnan
 from operator import itemgetter
 from typing import Any
 
-from echogrid.live.clocks import FAR_STAMP, NO_STAMP, Clock, Stamps, whole
+from echogrid.live.clocks import APART_S, FAR_STAMP, NO_STAMP, Clock, Stamps, whole
 from echogrid.live.sonar_array import SonarArray, SonarSaid
 from echogrid.robot import MAX_SONARS
 from echogrid.ros.sonars import beam_width, reading
@@ -20,6 +20,9 @@ from echogrid.ros.transforms import Transforms, stands_still
 SETTLE_S, LONGEST_S = 2.0, 10.0
 """Mapping begins when no further sonar was heard for so long, and after so long anyhow. By the caller's clock: a
 robot's stamps may go faster, or stand."""
+
+ROUNDS = 2
+"""Mapping begins sooner where nothing is doubtful and each sonar has been heard so often since the last was new."""
 
 SECONDS = 5
 """Readings of a second topic in the frame of a sonar, after which that is no frame of one sonar."""
@@ -82,6 +85,8 @@ class Hearing:
         self._moves = 0
         self._odometry: dict[str, str] = {}
         self._first, self._grew = inf, -inf
+        self._rounds: Counter[str] = Counter()
+        self._posed = -inf
         self._waiting: deque[tuple[str, float, float]] = deque(maxlen=MAX_WAITING)
         self._array: SonarArray | None = None
 
@@ -110,7 +115,13 @@ class Hearing:
         """Whether the sonars that were heard are likely to be all there are, by the caller's clock (s)."""
         if now - self._first >= LONGEST_S:
             return True
-        return bool(self.sonars) and now - self._grew >= SETTLE_S and not self.stamps.doubtful
+        quiet = now - self._grew >= SETTLE_S or self._all_heard()
+        return bool(self.sonars) and quiet and not self.stamps.doubtful
+
+    def _all_heard(self) -> bool:
+        """Whether each topic is that of a sonar, and a further one would have been heard by now."""
+        all_taken = self.stamps.topics == len(self.sonars)
+        return all_taken and all(self._rounds[name] >= ROUNDS for name in self.sonars)
 
     @property
     def apart(self) -> dict[str, SonarSaid]:
@@ -160,6 +171,7 @@ class Hearing:
             self._admit(stamp, pose=not stands_still(child))
             if not stands_still(child):  # a correction, as of odom in map, may be dated ahead
                 self.stamps.pose(child, stamp, now)
+                self._posed = stamp
             self._moves += 1
             if self._array is None and self._moves > MAX_MOVES:
                 self.transforms, self._moves = self.transforms.still(), 0
@@ -200,6 +212,9 @@ class Hearing:
                 raise _Refusal(f"a reading of sonar number {MAX_SONARS + 1}")
             self.sonars[frame] = SonarSaid(beam_width(float(message.field_of_view)), limits, topic)
             self._grew = now
+            self._rounds.clear()
+        # By two clocks it takes seconds to find how far they are apart.
+        self._rounds[frame] = self._rounds[frame] + 1 if abs(stamp - self._posed) < APART_S else 0
         if limits == self.sonars[frame].limits and _outside(raw, *limits):
             value = raw  # the array has the same limits; whoever judges the readings wants to know
         if self._array is None:

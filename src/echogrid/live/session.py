@@ -23,8 +23,8 @@ LAG_S = 0.25
 REACH_S = 0.5
 """How far past the newest transform a pose is taken from it at most."""
 
-CHECK_S = 1.0
-"""How often it is looked whether sonars are silent or new."""
+CHECK_S, SOON_S = 1.0, 0.05
+"""How often it is looked whether sonars are silent or new; and, before there is a map, whether it can begin."""
 
 JUDGE_S, JUDGE_EVERY_S = 15.0, 10.0
 """Scans are judged when they have been mapped for so long, and how often then."""
@@ -50,7 +50,7 @@ class Live:
         self._said: set[str] = set()
         self._hearing = Hearing(self._refused)
         self._map: LiveMap | None = None
-        self._check_due = self._rebuilt = -inf
+        self._begin_due = self._check_due = self._rebuilt = -inf
         self._rebuild_due = self._judge_due = inf
         self._telling = Telling()
         self._doubts: list[str] = []
@@ -98,6 +98,9 @@ class Live:
             now: as for ``take``, s.
         """
         hearing = self._hearing
+        if self._map is None and now >= self._begin_due and hearing.settled(now):
+            self._begin_due = now + SOON_S
+            self._settle()
         if self._map is not None:
             known = hearing.transforms.known(self._map.array.fixed, self._map.array.base)
             behind = known is not None and hearing.newest - known[1] > LAG_S
@@ -115,8 +118,6 @@ class Live:
             self._watch(self._map.array, now)
             self._admit(self._map, now)
             self._judge_due = min(self._judge_due, now + JUDGE_S)
-        elif hearing.settled(now):
-            self._settle()
         hearing.tidy()
         if hearing.settled(now):
             self._doubt()
