@@ -32,7 +32,7 @@ PLAN = {
     "output": "trajectory graph_file folder follower map_picture scan_picture map_server_file map_file mcap_file "
     "recording page rerun_file rerun_server",
     "microcontroller": "array constants source",
-    "live": "sonar_array clocks hearing telling placing live_map session sockets tf_topics dds_types dds",
+    "live": "sonar_array clocks hearing telling placing known live_map session sockets tf_topics dds_types dds",
     "cli": "ending arguments info poses maps localise planning simulation export live helping completion commands",
 }
 ORDER = [f"{room}.{name}".strip(".") for room, names in PLAN.items() for name in [*names.split(), ""] if room or name]

@@ -7,6 +7,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
 from tqdm import tqdm
 from tyro.conf import arg
 
@@ -123,6 +126,17 @@ def check_map(resolution: float | None, half_life: float | None) -> None:
         RESOLUTION.check(resolution, "--resolution")
     if half_life is not None:
         HALF_LIFE.check(half_life, "--half-life")
+
+
+def start_pose(text: str) -> Float[ndarray, "3"]:
+    """The pose (m, m, rad) that --start says."""
+    try:
+        x, y, degrees = (float(number) for number in text.split(","))
+    except ValueError:
+        raise UsageError(f"--start: found {text}, expected X,Y,DEG in m, m and degrees") from None
+    if not np.isfinite([x, y, degrees]).all():
+        raise UsageError(f"--start: found {text}, expected finite numbers")
+    return np.array([x, y, np.deg2rad(degrees)])
 
 
 def check_seed(seed: int) -> None:

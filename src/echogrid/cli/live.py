@@ -14,15 +14,18 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Annotated
 
+from jaxtyping import Float
+from numpy import ndarray
 from tyro.conf import OmitArgPrefixes, arg
 
-from echogrid.cli.arguments import Ros, check_map, drop
+from echogrid.cli.arguments import Ros, check_map, drop, start_pose
 from echogrid.errors import EchogridError, UsageError, escaped
 from echogrid.extras import need
 from echogrid.files import made
 from echogrid.output.folder import check_folder
 
 if TYPE_CHECKING:
+    from echogrid.grid import Grid
     from echogrid.live.dds import Network
     from echogrid.live.live_map import Snapshot
     from echogrid.live.session import Live as Mapping
@@ -32,6 +35,9 @@ STATUS_S = 10.0
 
 DISCOVER_S, SOON_S = 0.5, 0.05
 """How often it is looked for new topics; and before anything is mapped."""
+
+FADES_S = 30.0
+"""The half-life of what is mapped by odometry that drifts, for the local map alone."""
 
 WAIT_S = 0.05
 """How long a signal to stop waits at most."""
@@ -50,10 +56,15 @@ class Live:
 
     slam: bool = False
     """Poses are odometry that drifts: find them with the map. Publishes map -> odom on /tf, and /map in map."""
+    map: Annotated[Path | None, arg(metavar="MAP")] = None
+    """Find the robot in a map that is known, as localise does: publishes that on /map, map -> odom on /tf and
+    /amcl_pose, and takes /initialpose."""
+    start: Annotated[str | None, arg(metavar="X,Y,DEG")] = None
+    """With --map: about where the robot is. Default: anywhere on its free floor."""
     map_frame: str = "map"
-    """With --slam: the frame of the map."""
+    """With --slam or --map: the frame of the map."""
     transform_tolerance: Annotated[float, arg(metavar="S")] = 1.0
-    """With --slam: how long after its scan map -> odom holds, s."""
+    """With --slam or --map: how long after its scan map -> odom holds, s."""
     ros: Annotated[Ros, OmitArgPrefixes] = field(default_factory=Ros)
     out: Path = Path("out")
     """Folder for the map."""
@@ -93,20 +104,17 @@ class Live:
                 f"--interpreter: found {self.interpreter}, expected set-network or a file of its weights"
             )
         choice = self.ros.choice()
+        known, start = self._known()
+        fades = self.half_life if known is None or self.half_life else FADES_S
         settings = Settings(
-            choice,
-            self.resolution,
-            self.half_life,
-            self.local_side,
-            self.slam,
-            self.map_frame,
+            choice, self.resolution, fades, self.local_side, self.slam, known, start, self.map_frame,
             self.transform_tolerance,
-        )
+        )  # fmt: skip
         mapping = Mapping(model, settings)
         with made(self.out), stopped() as stop:
             check_folder(self.out)
             interface = self._interface()
-            network = Network(domain, interface, choice, self.map_topic, self.local_map_topic)
+            network = Network(domain, interface, choice, self.map_topic, self.local_map_topic, known is not None)
             _say(f"domain {domain}, {self._where(interface, network)}; {self.map_topic}, {self.local_map_topic}")
             saver = _Saver(self.out, self.save_every)
             _map(mapping, network, saver, stop, interface or "the interfaces of CYCLONEDDS_URI")
@@ -130,6 +138,23 @@ class Live:
         if not domain.isdecimal() or int(domain) > 232:
             raise UsageError(f"{where}: found {domain}, expected 0 to 232")
         return int(domain)
+
+    def _known(self) -> "tuple[Grid | None, Float[ndarray, '3'] | None]":
+        """The map in which the robot is to be found, and where it is."""
+        if self.map is None:
+            if self.start is not None:
+                raise UsageError("--start: found no --map, expected the map in which that is")
+            return None, None
+        if self.slam:
+            raise UsageError("--slam, --map: found both, expected one of the two")
+        from echogrid.output.map_file import read_map
+        from echogrid.position.localise import check_start
+
+        grid, start = read_map(self.map), None if self.start is None else start_pose(self.start)
+        check_start(grid, start)
+        if os.path.realpath(self.out) == os.path.realpath(self.map if self.map.is_dir() else self.map.parent):
+            raise UsageError(f"--out: found {self.out}, the folder of the map, expected another one")
+        return grid, start
 
     def _interface(self) -> str | None:
         return self.interface or (None if os.environ.get("CYCLONEDDS_URI") else "lo")

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from echogrid.cli.arguments import Ros, check_seed, open_log, print_notes, robot_arg, shown
+from echogrid.cli.arguments import Ros, check_seed, open_log, print_notes, robot_arg, shown, start_pose
 from echogrid.errors import InputError, UsageError, escaped
 from echogrid.files import check_writable, made, replacing
 from echogrid.frame import Log
@@ -26,6 +26,7 @@ _FILES = ("trajectory.tum", "map.png", "run.yaml")
 _SAID = {
     "sure": "one place remained",
     "lost": "the place did not explain what was heard: looked for it anywhere again",
+    "anew": "time goes back and the poses of the log jump: the drive begins again where it began",
     "jump": "the poses of the log jump, or start anew; the robot is taken to have stayed where it was",
 }
 
@@ -97,13 +98,7 @@ class Localise:
             raise UsageError(f"--start, --anywhere: found {found}, expected one of the two")
         if self.start is None:
             return None
-        try:
-            x, y, degrees = (float(number) for number in self.start.split(","))
-        except ValueError:
-            raise UsageError(f"--start: found {self.start}, expected X,Y,DEG in m, m and degrees") from None
-        if not np.isfinite([x, y, degrees]).all():
-            raise UsageError(f"--start: found {self.start}, expected finite numbers")
-        return np.array([x, y, np.deg2rad(degrees)])
+        return start_pose(self.start)
 
     def _check_out(self) -> None:
         """Make sure that the map's own files stay."""

@@ -37,16 +37,18 @@ from echogrid.errors import UsageError
 from echogrid.live.dds_types import (
     OccupancyGrid,
     Odometry,
+    PoseWithCovarianceStamped,
     Range,
     RangeWithVariance,
     Refused,
     TFMessage,
     occupancy_grid,
+    pose_message,
     tf_message,
 )
 from echogrid.live.hearing import Heard
 from echogrid.live.live_map import Picture
-from echogrid.live.placing import Correction
+from echogrid.live.placing import Correction, RobotPose
 from echogrid.live.sockets import keep_to, open_sockets
 from echogrid.live.tf_topics import TfTopics
 from echogrid.robot import MAX_SONARS
@@ -81,7 +83,7 @@ MAP_QOS = Qos(
     Policy.Durability.TransientLocal,
     Policy.History.KeepLast(1),
 )
-"""To send /map: who comes late gets the last one."""
+"""To send /map and /amcl_pose: who comes late gets the last one."""
 
 LOCAL_MAP_QOS = Qos(
     Policy.Reliability.Reliable(max_blocking_time=0),
@@ -156,7 +158,15 @@ def configuration(interface: str) -> str:
 class Network:
     """The ROS 2 topics of one domain: those that are heard and those that are sent."""
 
-    def __init__(self, domain: int, interface: str | None, choice: Choice, map_topic: str, local_topic: str):
+    def __init__(
+        self,
+        domain: int,
+        interface: str | None,
+        choice: Choice,
+        map_topic: str,
+        local_topic: str,
+        localises: bool = False,
+    ):
         """Join a domain.
 
         Args:
@@ -165,6 +175,7 @@ class Network:
             choice: the topics of ranges and odometry to hear; those of tf are always heard.
             map_topic: where the map goes, as ROS 2 names it.
             local_topic: where the local map goes.
+            localises: whether /initialpose is heard, and /amcl_pose sent.
 
         Raises:
             UsageError: there is no such interface or topic, or DDS cannot be started.
@@ -199,6 +210,11 @@ class Network:
         # Transforms first: a range that comes with them finds its pose.
         for name in ("/tf_static", "/tf"):
             self._listen_to_tf(name)
+        self._poses: DataWriter | None = None
+        if localises:
+            self._listen("rt/initialpose", PoseWithCovarianceStamped, SENSOR_QOS, Heard.INITIAL)
+            topic = Topic(self._participant, "rt/amcl_pose", PoseWithCovarianceStamped)
+            self._poses = DataWriter(self._participant, topic, MAP_QOS)
         self._map, self._local = (
             DataWriter(self._participant, Topic(self._participant, name, OccupancyGrid), qos)
             for name, qos in zip(sent, (MAP_QOS, LOCAL_MAP_QOS), strict=True)
@@ -295,11 +311,14 @@ class Network:
         except (UsageError, DDSException):
             self.refused["topics that cannot be listened to"] += 1
 
-    def send(self, what: Picture | Correction) -> None:
-        """Send a map, a local map, or a transform."""
+    def send(self, what: Picture | Correction | RobotPose) -> None:
+        """Send a map, a local map, a transform, or where the robot is."""
         with suppress(DDSException):  # a reader that takes nothing costs the others no more than this message
             if isinstance(what, Correction):
                 self._transforms().write(tf_message(what))
+            elif isinstance(what, RobotPose):
+                if self._poses is not None:
+                    self._poses.write(pose_message(what))
             else:
                 (self._local if what.local else self._map).write(occupancy_grid(what))
 

@@ -15,7 +15,7 @@ from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl.types import array, float32, float64, int8, int32, sequence, uint8, uint32
 
 from echogrid.live.live_map import Picture
-from echogrid.live.placing import Correction
+from echogrid.live.placing import Correction, RobotPose
 
 MAX_MESSAGE_BYTES = 256 * 1024
 """A longer message is refused: room for about 2,000 transforms."""
@@ -108,6 +108,9 @@ def _range(data: bytes) -> Any:
 TFMessage = _bounded(_message("tf2_msgs/TFMessage", transforms=sequence[TransformStamped]), _transforms)
 Pose = _message("geometry_msgs/Pose", position=Point, orientation=Quaternion)
 PoseWithCovariance = _message("geometry_msgs/PoseWithCovariance", pose=Pose, covariance=array[float64, 36])
+PoseWithCovarianceStamped = _bounded(
+    _message("geometry_msgs/PoseWithCovarianceStamped", header=Header, pose=PoseWithCovariance)
+)
 Twist = _message("geometry_msgs/Twist", linear=Vector3, angular=Vector3)
 TwistWithCovariance = _message("geometry_msgs/TwistWithCovariance", twist=Twist, covariance=array[float64, 36])
 Odometry = _bounded(
@@ -165,6 +168,19 @@ def tf_message(correction: Correction) -> Any:
     where = Transform(Vector3(x, y, 0.0), _turned(theta))
     header = Header(_time(correction.stamp), correction.parent)
     return TFMessage([TransformStamped(header, correction.child, where)])
+
+
+def pose_message(told: RobotPose) -> Any:
+    """The message that says where the robot is."""
+    x, y, theta = told.pose.tolist()
+    covariance = np.zeros((6, 6))
+    covariance[np.ix_(_PLANE, _PLANE)] = told.covariance
+    pose = PoseWithCovariance(Pose(Point(x, y, 0.0), _turned(theta)), covariance.ravel().tolist())
+    return PoseWithCovarianceStamped(Header(_time(told.stamp), told.frame), pose)
+
+
+_PLANE = [0, 1, 5]
+"""x, y and the heading among the six of a pose."""
 
 
 def _time(seconds: float) -> Any:

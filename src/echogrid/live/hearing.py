@@ -7,13 +7,14 @@ not taken is counted by reason.
 from collections import Counter, deque
 from enum import Enum
 from itertools import islice
-from math import inf, isfinite, isnan
+from math import inf, isfinite, isnan, sqrt
 from operator import itemgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 from echogrid.live.clocks import APART_S, FAR_STAMP, NO_STAMP, Clock, Stamps, whole
 from echogrid.live.sonar_array import SonarArray, SonarSaid
 from echogrid.robot import MAX_SONARS
+from echogrid.ros.rigid import Rigid, planar
 from echogrid.ros.sonars import beam_width, reading
 from echogrid.ros.transforms import Transforms, stands_still
 
@@ -52,10 +53,23 @@ class Heard(Enum):
     TF = "tf2_msgs/TFMessage on /tf"
     STATIC = "tf2_msgs/TFMessage on /tf_static"
     ODOMETRY = "nav_msgs/Odometry"
+    INITIAL = "geometry_msgs/PoseWithCovarianceStamped"
 
 
 class _Refusal(Exception):  # noqa: N818 - no error of the user's
     """A message is not taken; the text says why."""
+
+
+class Initial(NamedTuple):
+    """Where somebody says that the robot is."""
+
+    frame: str
+    stamp: float
+    """s; 0: now."""
+    pose: tuple[float, float, float]
+    """m, m, rad."""
+    spread: tuple[float, float, float]
+    """Standard deviations, m, m, rad."""
 
 
 class Hearing:
@@ -81,6 +95,8 @@ class Hearing:
         """Stamp of the newest reading, s."""
         self.last_range = -inf
         """When the last one came by the caller's clock, s."""
+        self.initial: Initial | None = None
+        """Where the robot is, as it was said last; whoever uses it takes it away."""
         self._refused = refused
         self._moves = 0
         self._odometry: dict[str, str] = {}
@@ -104,6 +120,8 @@ class Hearing:
                 self._take_range(topic, message, now)
             elif heard is Heard.ODOMETRY:
                 self._take_odometry(topic, message, now)
+            elif heard is Heard.INITIAL:
+                self.initial = _initial(message)
             else:
                 self._take_transforms(message, heard is Heard.STATIC, now)
         except _Refusal as refusal:
@@ -258,6 +276,17 @@ class Hearing:
 def _outside(range_m: float, low: float, high: float) -> bool:
     """Whether something was measured well outside of a sonar's limits (all m); no echo may be sent as the maximum."""
     return 0 < range_m < low or 0 < high < range_m / _BEYOND < inf
+
+
+def _initial(message: Any) -> Initial:
+    where, turn = message.pose.pose.position, message.pose.pose.orientation
+    x, y, theta = planar(Rigid((where.x, where.y, where.z), (turn.x, turn.y, turn.z, turn.w)))
+    variances = [float(message.pose.covariance[at]) for at in (0, 7, 35)]
+    stamp = whole(message.header.stamp)
+    if not all(map(isfinite, (x, y, theta, stamp, *variances))) or min(variances) < 0:
+        raise _Refusal("an initial pose that is not finite")
+    a, b, c = map(sqrt, variances)
+    return Initial(_name(message.header.frame_id), stamp, (x, y, theta), (a, b, c))
 
 
 def _name(name: str) -> str:

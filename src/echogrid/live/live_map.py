@@ -15,7 +15,8 @@ from echogrid.doubts import Judge, Whereabouts
 from echogrid.errors import InputError, UsageError
 from echogrid.frame import Frame, show_to
 from echogrid.grid import Grid
-from echogrid.live.placing import Correction, Slam
+from echogrid.live.known import Known
+from echogrid.live.placing import Correction, RobotPose, Slam
 from echogrid.live.sonar_array import SonarArray
 from echogrid.live.telling import in_live
 from echogrid.mapping.mapper import Mapper
@@ -59,6 +60,10 @@ class Settings:
     """Side of the local map, m."""
     slam: bool = False
     """Whether poses are odometry that drifts, and are to be found."""
+    known: Grid | None = None
+    """The map in which the robot is to be found by that odometry, where it is known."""
+    start: Float[ndarray, "3"] | None = None
+    """About where it is in that map, m, m, rad; None: anywhere."""
     map_frame: str = "map"
     """Frame of the map, where it is not that of the odometry."""
     tolerance: float = 1.0
@@ -97,6 +102,11 @@ class Snapshot:
     """Heading of the picture."""
 
 
+def picture_of(grid: Grid, stamp: float, frame: str, local: bool) -> Picture:
+    """A map as it is published; arguments as of ``Picture``."""
+    return Picture(occupancy(grid), grid.resolution, grid.origin, stamp, frame, local)
+
+
 class LiveMap:
     """The map that the scans of an array of sonars make."""
 
@@ -114,8 +124,10 @@ class LiveMap:
         self.array, self._network, self._settings, self._refused = array, network, settings, refused
         self._empty = lambda robot: Mapper(robot, network, settings.resolution, settings.half_life)
         self._mapper = self._empty(array.robot)
-        self.placing = None
-        if settings.slam:
+        self.placing: Slam | Known | None = None
+        if settings.known is not None:
+            self.placing = Known(array, settings.known, settings.start, settings.map_frame, settings.tolerance)
+        elif settings.slam:
             self.placing = Slam(array, self._empty, settings.map_frame, settings.tolerance)
         """Finds where the robot is in the map; None: the poses that are heard say it."""
         self._judge, self._whereabouts = Judge(array.robot), Whereabouts()
@@ -145,7 +157,7 @@ class LiveMap:
         """Whether scans wait to be mapped."""
         return bool(self._ready)
 
-    def step(self, now: float, reach: float) -> Iterator[Picture | Correction]:
+    def step(self, now: float, reach: float) -> Iterator[Picture | Correction | RobotPose]:
         """Map some of the scans that are complete; what is to be published by then, what is urgent first.
 
         A picture is drawn when it is asked for: what is sent at once does not wait for the next.
@@ -157,10 +169,11 @@ class LiveMap:
         self._gather(reach)
         if self.placing and (renewed := self.placing.renewed(now)):
             self._renew(renewed)
-        if self._map(AT_ONCE):
-            yield from self.placing.sent() if self.placing else ()
+        mapped = self._map(AT_ONCE)
+        yield from self.placing.sent() if self.placing else ()
+        if mapped:
             yield self._picture(local=True)
-        if self._changed and now >= self._due:
+        if self._changed and now >= self._due and self._settings.known is None:
             self._changed, self._due = False, now + MAP_EVERY_S
             yield self._picture(local=False)
 
@@ -168,8 +181,8 @@ class LiveMap:
         """Map all scans that are complete; arguments as of ``Scans.frames``."""
         self._gather(reach, final)
         self._map(len(self._ready))
-        if final and self.placing and self.scans:
-            self._renew(self.placing.final())
+        if final and self.placing and self.scans and (renewed := self.placing.final()):
+            self._renew(renewed)
 
     def _renew(self, renewed: Renewed) -> None:
         """Go on with another map of the same drive."""
@@ -231,8 +244,10 @@ class LiveMap:
                 self._refused["a scan whose stamp, pose or mounts cannot be"] += 1
                 continue
             self._last = frame
-            self._path.add(float(frame.pose[0]), float(frame.pose[1]))
             self.scans += 1
+            where = self.placing.where if self.placing else frame.pose
+            if where is not None:
+                self._path.add(float(where[0]), float(where[1]))
         if self.scans == before:
             return False
         self._changed = True
@@ -242,13 +257,13 @@ class LiveMap:
         assert self._last is not None
         x, y = (float(v) for v in self._last.pose[:2])
         grid = self._mapper.around(x, y, self._settings.local_side) if local else self._mapper.grid()
-        return Picture(occupancy(grid), grid.resolution, grid.origin, self._last.stamp, self.frame, local)
+        return picture_of(grid, self._last.stamp, self.frame, local)
 
     def snapshot(self, refused: Counter[str], doubts: Iterable[str]) -> Snapshot | None:
         """The map to be saved, with what was refused and what is doubtful; None if there is none yet."""
         if not self.scans:
             return None
-        grid = deepcopy(self._mapper.grid())
+        grid = deepcopy(self._mapper.grid()) if self._settings.known is None else self._settings.known
         robot = self._mapper.robot
         settings = {
             "log": "live",

@@ -1,8 +1,8 @@
 """Where the robot is in the map, while it drives: found with the map, as its odometry drifts."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, override
 
 import numpy as np
 from jaxtyping import Float
@@ -27,7 +27,65 @@ class Correction(NamedTuple):
     """m, m, rad."""
 
 
-class Slam:
+class RobotPose(NamedTuple):
+    """Where the robot is in the map, as AMCL says it."""
+
+    frame: str
+    """Of the map."""
+    stamp: float
+    """s"""
+    pose: Float[ndarray, "3"]
+    """m, m, rad."""
+    covariance: Float[ndarray, "3 3"]
+    """m, m, rad."""
+
+
+class Placing(Protocol):
+    """Finds where the robot is in the map while it drives."""
+
+    frame: str
+    """In which what is heard is mapped."""
+
+    @property
+    def where(self) -> Float[ndarray, "3"] | None:
+        """Of the robot in the map, m, m, rad; None where that is not known."""
+        ...
+
+    def place(self, frame: Frame) -> Frame:
+        """A scan, whose pose is by odometry, as it is to be mapped.
+
+        Raises:
+            UsageError: it cannot be one of the robot's; nothing is changed.
+        """
+        ...
+
+    def equip(self) -> None:
+        """Go on with the array as it has grown."""
+
+    def renewed(self, now: float) -> Renewed | None:
+        """The map by what is known now, if it is another one, by the caller's clock (s)."""
+
+    def final(self) -> Renewed | None:
+        """The map by all that is known in the end, if it is another one."""
+
+    def sent(self) -> Sequence[Correction | RobotPose]:
+        """What is to be published since it was asked last."""
+        ...
+
+    def notices(self) -> Iterator[str]:
+        """What the user should know and was not told yet."""
+        ...
+
+    def status(self) -> str:
+        """How it goes."""
+        ...
+
+    def settings(self) -> dict[str, Any]:
+        """What run.yaml says of it."""
+        ...
+
+
+class Slam(Placing):
     """The robot is found by the map that it makes."""
 
     def __init__(self, array: SonarArray, make: Callable[[Robot], Mapper], frame: str, tolerance: float):
@@ -46,39 +104,40 @@ class Slam:
         self._remapping = Remapping(self._finder, make)
         self._newest: float | None = None
 
-    def place(self, frame: Frame) -> Frame:
-        """A scan, whose pose is by odometry, in the map.
+    @property
+    @override
+    def where(self) -> Float[ndarray, "3"]:
+        return self._finder.pose
 
-        Raises:
-            UsageError: it cannot be one of the robot's; nothing is changed.
-        """
+    @override
+    def place(self, frame: Frame) -> Frame:
         placed = replace(frame, pose=self._finder.add(frame), odom=frame.pose)
         self._remapping.note(placed)
         self._newest = frame.stamp
         return placed
 
+    @override
     def equip(self) -> None:
-        """Go on with the array as it has grown."""
         self._finder.equip(self._array.robot)
 
+    @override
     def renewed(self, now: float) -> Renewed | None:
-        """The map by what is known now, if it is another one, by the caller's clock (s)."""
         return self._remapping.renewed(self._array.robot, now)
 
+    @override
     def final(self) -> Renewed:
-        """The map by all that is known in the end."""
         self._finder.wait()
         return self._remapping.final(self._array.robot)
 
+    @override
     def sent(self) -> list[Correction]:
-        """What is to be published since it was asked last."""
         if self._newest is None:
             return []
         stamp, self._newest = self._newest + self._tolerance, None
         return [Correction(self.frame, self._array.fixed, stamp, self._finder.correction)]
 
+    @override
     def notices(self) -> Iterator[str]:
-        """What the user should know and was not told yet."""
         while self._finder.jumps:
             jump = self._finder.jumps.popleft()
             if jump.anew:
@@ -89,16 +148,16 @@ class Slam:
             else:
                 yield f"at {jump.stamp:.2f} s the odometry jumps or starts anew: the drive goes on from where it was"
 
+    @override
     def status(self) -> str:
-        """How it goes."""
         graph = self._finder.graph
         x, y, turn = self._finder.correction.tolist()
         loops = graph.loops if graph else 0
         off = f"{np.hypot(x, y):.2f} m and {np.rad2deg(abs(turn)):.0f} degrees"
         return f"{loops} {'loop' if loops == 1 else 'loops'} closed, {self._array.fixed} is {off} off {self.frame}"
 
+    @override
     def settings(self) -> dict[str, Any]:
-        """What run.yaml says of it, as that of ``map --slam`` does."""
         graph = self._finder.graph
         if graph is None:
             return {"slam": True, "loops": 0, "odometry": None}

@@ -2,12 +2,16 @@
 
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
-from math import inf
+from math import degrees, inf
 from typing import Any
 
+import numpy as np
+
+from echogrid.geometry import compose, inverse
 from echogrid.live.hearing import SETTLE_S, Heard, Hearing
-from echogrid.live.live_map import LiveMap, Picture, Settings, Snapshot
-from echogrid.live.placing import Correction
+from echogrid.live.known import Known
+from echogrid.live.live_map import LiveMap, Picture, Settings, Snapshot, picture_of
+from echogrid.live.placing import Correction, RobotPose
 from echogrid.live.sonar_array import Mounts, SonarArray, frames_of, lack, listed, mounts_of
 from echogrid.live.telling import Telling, doubts, kind_of
 from echogrid.models.networks.set_network import SetNetwork
@@ -52,6 +56,7 @@ class Live:
         self._map: LiveMap | None = None
         self._begin_due = self._check_due = self._rebuilt = -inf
         self._rebuild_due = self._judge_due = inf
+        self._known_due = settings.known is not None
         self._telling = Telling()
         self._doubts: list[str] = []
 
@@ -91,7 +96,7 @@ class Live:
                 self._said.add(text)
                 self._notices.append(text)
 
-    def step(self, now: float) -> Iterator[Picture | Correction]:
+    def step(self, now: float) -> Iterator[Picture | Correction | RobotPose]:
         """Map what has come, and say what is to be published: to be gone through to its end.
 
         Args:
@@ -101,7 +106,9 @@ class Live:
         if self._map is None and now >= self._begin_due and hearing.settled(now):
             self._begin_due = now + SOON_S
             self._settle()
+        yield from self._known()
         if self._map is not None:
+            self._be_put(self._map)
             known = hearing.transforms.known(self._map.array.fixed, self._map.array.base)
             behind = known is not None and hearing.newest - known[1] > LAG_S
             yield from self._map.step(now, REACH_S if behind else 0.0)
@@ -124,6 +131,31 @@ class Live:
         if now >= self._judge_due:
             self._judge_due = now + JUDGE_EVERY_S
             self._judge()
+
+    def _known(self) -> list[Picture | Correction | RobotPose]:
+        """The map that is known, once, as a map server sends it."""
+        if not self._known_due or self.settings.known is None:
+            return []
+        self._known_due = False
+        return [picture_of(self.settings.known, 0.0, self.settings.map_frame, local=False)]
+
+    def _be_put(self, live_map: LiveMap) -> None:
+        """Hand on where somebody says that the robot is."""
+        said, self._hearing.initial = self._hearing.initial, None
+        if said is None or not isinstance(live_map.placing, Known):
+            return
+        if said.frame != self.settings.map_frame:
+            self._notices.append(f"initial pose not taken: it is in {said.frame}, expected {self.settings.map_frame}")
+            return
+        transforms, array = self._hearing.transforms, live_map.array
+        at = transforms.pose(array.fixed, array.base, said.stamp, REACH_S) if said.stamp else None
+        if at is None:  # of no time that is known: it is meant for now
+            known = transforms.known(array.fixed, array.base)
+            at = transforms.pose(array.fixed, array.base, known[1]) if known else None
+        if at is not None:
+            x, y, theta = said.pose
+            self._notices.append(f"initial pose: {x:.2f}, {y:.2f} m, {degrees(theta):.0f} degrees")
+            live_map.placing.put(compose(np.array(said.pose), inverse(at)), np.array(said.spread))
 
     def finish(self) -> None:
         """Map what was gathered and is not yet a whole scan: nothing comes any more."""
@@ -178,24 +210,31 @@ class Live:
     def _settle(self) -> None:
         """Begin to map, if it is known what with."""
         hearing = self._hearing
-        frames = frames_of(hearing.transforms, hearing.apart, self.settings.choice, self.settings.slam)
+        frames = frames_of(hearing.transforms, hearing.apart, self.settings.choice, self._finds)
         mounts = self._mounts(hearing.apart, frames[1]) if frames else {}
         if not frames or not mounts or not self._is_odometry(*frames, len(mounts)):
             return
         array = SonarArray(*frames, mounts, hearing.sonars, hearing.transforms)
         self._map = LiveMap(array, self._network, self.settings, self._refused)
         fixed, base = frames
-        found = (
-            f"mapping in {self._map.frame}, with odometry in {fixed}," if self._map.placing else f"mapping in {fixed}"
-        )
-        self._notices.append(f"{found} with {len(mounts)} sonars of {base}: {listed(mounts)}")
+        where = f"mapping in {self._map.frame}"
+        if self.settings.known is not None:
+            where = f"looking for the robot in {self.settings.map_frame}, by odometry in {fixed},"
+        elif self.settings.slam:
+            where += f", with odometry in {fixed},"
+        self._notices.append(f"{where} with {len(mounts)} sonars of {base}: {listed(mounts)}")
         hearing.begin(array)
+
+    @property
+    def _finds(self) -> bool:
+        """Whether it is to be found where the robot is."""
+        return self.settings.slam or self.settings.known is not None
 
     def _is_odometry(self, fixed: str, base: str, sonars: int) -> bool:
         """Whether the robot can be found by its sonars and its odometry in a frame, where that is wanted; else it is
         said why not.
         """
-        if not self.settings.slam:
+        if not self._finds:
             return True
         if fixed == self.settings.map_frame:
             self._say_once([f"{base} is told in {fixed} itself, not in a frame of odometry: stop who tells that"])
@@ -218,7 +257,7 @@ class Live:
         transforms = self._hearing.transforms
         array.look_up(transforms)
         fixed = fixed_of(transforms, array.base)
-        if self.settings.slam:
+        if self._finds:
             if self.settings.map_frame in transforms.line(array.base):
                 frame = self.settings.map_frame
                 self._say_once([f"{array.fixed} is told in {frame} by another program as well: stop it"])

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from echogrid.doubts import FASTEST_M_S, FASTEST_RAD_S, JUMP_M, JUMP_RAD
 from echogrid.errors import UsageError
 from echogrid.frame import Frame
 from echogrid.geometry import compose, inverse
@@ -18,7 +17,7 @@ from echogrid.grid import Grid
 from echogrid.mapping.intake import check_robot, cleaned, fitting
 from echogrid.mapping.registry import DEFAULT, sensor_model
 from echogrid.position.beams import FREE, OCCUPIED, Beams
-from echogrid.position.motion import Drift, lengths
+from echogrid.position.motion import Drift, jumped, lengths
 from echogrid.position.particles import Particles, Place
 from echogrid.position.sights import Ground, sight
 from echogrid.robot import Robot
@@ -49,8 +48,8 @@ _LEAST, _MOST, _PER_M2 = 1000, 100_000, 400
 _PER_M2_RIVALS, _MOST_RIVALS = 80, 8_000
 """Of those that look for another place while one is sure."""
 
-_START_M, _START_RAD = 0.15, np.deg2rad(7.0)
-"""Standard deviation of a start that is given."""
+START_SPREAD = np.array([0.15, 0.15, np.deg2rad(7.0)])
+"""Standard deviations of a start that is given, m, m, rad."""
 
 _HEAP_M, _HEAP_RAD = 0.5, np.deg2rad(25.0)
 """Particles within this of their middle are at one place."""
@@ -82,9 +81,9 @@ class Estimate:
 class Event(NamedTuple):
     """Something that happened to a localiser."""
 
-    what: Literal["sure", "lost", "jump"]
+    what: Literal["sure", "lost", "jump", "anew"]
     """One place remains; it does not explain what is seen, and all are possible again; the odometry jumps, which is
-    taken for a start anew where the robot is."""
+    taken for a start anew where the robot is; time goes back with it, and the drive begins again where it did."""
     stamp: float
     """s"""
     driven_m: float
@@ -116,13 +115,11 @@ class Localiser:
             UsageError: no such robot, a map without floor, or a start that is not on its floor.
         """
         check_robot(robot)
+        check_start(grid, start)
         self._robot, self._model, self._drift = robot, sensor_model(DEFAULT), Drift()
-        p = grid.probability()
-        floor = np.argwhere(grid.observed & (p < FREE))
-        if not len(floor) or not (grid.observed & (p > OCCUPIED)).any():
-            raise UsageError(f"map: found no {'wall' if len(floor) else 'free floor'}, expected both")
+        floor = np.argwhere(grid.observed & (grid.probability() < FREE))
         self._floor, self._floor_m2 = grid.centre_of(floor), len(floor) * grid.resolution**2
-        self._cell = grid.resolution
+        self._grid, self._cell = grid, grid.resolution
         self._ground, self._beams, self._walls = Ground(grid), Beams(grid, robot), _Walls(grid)
         self._seed, self._rng = seed, np.random.default_rng(seed)
         self.events: list[Event] = []
@@ -130,19 +127,15 @@ class Localiser:
         self._frames: deque[Frame] = deque(maxlen=_MOST_FRAMES * 16)
         self._last: Frame | None = None
         self._count, self._driven = 0, 0.0
-        self._begin_piece()
-        if start is None:
-            self._spread()
-        else:
-            self._gather(_on_floor(grid, start))
+        self._start = None if start is None else np.asarray(start, dtype=float)
+        self.begin(self._start)
 
-    def _gather(self, start: Float[ndarray, "3"]) -> None:
-        """Be near a pose."""
-        off = self._rng.standard_normal((2 * _LEAST, 3)) * (_START_M, _START_M, _START_RAD)
-        self._particles = self._guesses(start + off)
+    def _gather(self, start: Float[ndarray, "3"], spread: Float[ndarray, "3"] = START_SPREAD) -> None:
+        """Be near a pose, with standard deviations as given (m, m, rad)."""
+        self._particles = self._guesses(start + self._rng.standard_normal((2 * _LEAST, 3)) * spread)
         self._sure, self._certain, self._bad = True, _FOR, 0
         self._begin_rivals()
-        self._place = Place(start, np.diag([_START_M, _START_M, _START_RAD]) ** 2, 1.0)
+        self._place = Place(start, np.diag(spread**2), 1.0)
 
     def _spread(self) -> None:
         """Be anywhere on the floor."""
@@ -160,6 +153,37 @@ class Localiser:
 
     def _begin_piece(self) -> None:
         self._net, self._way, self._turn = np.zeros(3), 0.0, 0.0
+
+    def put(self, pose: Float[ndarray, "3"], spread: Float[ndarray, "3"] = START_SPREAD) -> None:
+        """Be told where the robot is now, in the middle of a drive.
+
+        Args:
+            pose: in the map, m, m, rad.
+            spread: standard deviations of that, m, m, rad.
+
+        Raises:
+            UsageError: it is outside of the map; nothing is changed.
+        """
+        _in_map(self._grid, pose)
+        self._frames.clear()
+        self._begin_piece()
+        self._gather(np.asarray(pose, dtype=float), spread)
+
+    def begin(self, start: Float[ndarray, "3"] | None = None) -> None:
+        """Begin anew at a start (m, m, rad), or anywhere: nothing that was heard before counts."""
+        self._frames.clear()
+        self._last = None
+        self._begin_piece()
+        if start is None:
+            self._spread()
+        else:
+            self._gather(start)
+
+    def equip(self, robot: Robot) -> None:
+        """Go on with a robot that has got more sonars, behind those that it had."""
+        check_robot(robot)
+        self._frames.clear()
+        self._robot, self._beams = robot, Beams(self._grid, robot)
 
     def at(self, pose: Float[ndarray, "3"]) -> "Localiser":
         """Another localiser in the same map, whose robot stands at a pose (m, m, rad)."""
@@ -206,16 +230,18 @@ class Localiser:
         if self._last is None:
             return np.zeros(3)
         step = compose(inverse(self._last.pose), frame.pose)
-        took = abs(frame.stamp - self._last.stamp)
-        if np.hypot(*step[:2]) > max(JUMP_M, FASTEST_M_S * took) or abs(step[2]) > max(
-            JUMP_RAD, FASTEST_RAD_S * took
-        ):
+        took = frame.stamp - self._last.stamp
+        if not jumped(step, took):
+            return step
+        if took <= 0:
+            self._note("anew", frame)
+            self.begin(self._start)
+        else:
             self._note("jump", frame)
             self._frames.clear()
-            return np.zeros(3)
-        return step
+        return np.zeros(3)
 
-    def _note(self, what: Literal["sure", "lost", "jump"], frame: Frame) -> None:
+    def _note(self, what: Literal["sure", "lost", "jump", "anew"], frame: Frame) -> None:
         self.events.append(Event(what, frame.stamp, self._driven, self._count))
 
     def _look(self) -> None:
@@ -332,23 +358,35 @@ def _evenly(frames: list[Frame], most: int) -> list[Frame]:
     return [frames[i] for i in np.linspace(len(frames) - 1, 0, most, endpoint=False).astype(int)[::-1]]
 
 
-def _on_floor(grid: Grid, start: Float[ndarray, "_"] | Sequence[float]) -> Float[ndarray, "3"]:
-    """A start (m, m, rad), once it is known to lie on the map's floor."""
+def check_start(grid: Grid, start: Float[ndarray, "_"] | Sequence[float] | None) -> None:
+    """Raise a UsageError if in a map no robot is found, or a start (m, m, rad) does not lie on its floor."""
+    p = grid.probability()
+    floor = bool((grid.observed & (p < FREE)).any())
+    if not floor or not (grid.observed & (p > OCCUPIED)).any():
+        raise UsageError(f"map: found no {'wall' if floor else 'free floor'}, expected both")
+    if start is None:
+        return
     pose = np.asarray(start, dtype=float)
     if pose.shape != (3,) or not np.isfinite(pose).all():
         raise UsageError(f"start: found {shown(start)}, expected x, y, heading")
+    row, col = _in_map(grid, pose)
     where = f"start: found {pose[0]:g}, {pose[1]:g} m"
-    row, col = grid.index_of(pose[:2])
-    if not (0 <= row < grid.shape[0] and 0 <= col < grid.shape[1]):
-        low = np.array(grid.origin)
-        high = low + np.array(grid.shape[::-1]) * grid.resolution
-        box = f"x {low[0]:g} to {high[0]:g}, y {low[1]:g} to {high[1]:g} m"
-        raise UsageError(f"{where}, outside of the map, expected a place in it: {box}")
     if not grid.observed[row, col]:
         raise UsageError(f"{where}, of which the map knows nothing, expected free floor")
     if grid.probability_at(pose[:2]) > OCCUPIED:
         raise UsageError(f"{where}, in a wall, expected free floor")
-    return pose
+
+
+def _in_map(grid: Grid, pose: Float[ndarray, "3"]) -> Int[ndarray, "2"]:
+    """The cell of a map in which a pose (m, m, rad) lies."""
+    cell = grid.index_of(pose[:2])
+    if np.any(cell < 0) or np.any(cell >= grid.shape):
+        low = np.array(grid.origin)
+        high = low + np.array(grid.shape[::-1]) * grid.resolution
+        box = f"x {low[0]:g} to {high[0]:g}, y {low[1]:g} to {high[1]:g} m"
+        where = f"start: found {pose[0]:g}, {pose[1]:g} m"
+        raise UsageError(f"{where}, outside of the map, expected a place in it: {box}")
+    return cell
 
 
 @dataclass(frozen=True)

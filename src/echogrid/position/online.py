@@ -12,13 +12,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from echogrid.doubts import FASTEST_M_S, FASTEST_RAD_S, JUMP_M, JUMP_RAD
 from echogrid.frame import Frame
 from echogrid.geometry import compose, inverse
 from echogrid.mapping.intake import check_robot, cleaned, fitting
 from echogrid.position.beside import Beside
 from echogrid.position.growing import Graph, Growing, grown, wrapped
-from echogrid.position.motion import chained, corrected, lengths, steps
+from echogrid.position.motion import chained, corrected, jumped, lengths, steps
 from echogrid.position.pieces import PIECE_M, PIECE_RAD
 from echogrid.robot import Robot
 
@@ -30,6 +29,9 @@ LEAST_FRAMES = 3
 
 MOST_JUMPS = 1000
 """Of the odometry that are remembered."""
+
+MOST_WAITING, MOST_FRAMES = 100, 400
+"""Where more pieces wait to be placed the one that is driven grows, up to so many scans; no further is kept."""
 
 
 class Jump(NamedTuple):
@@ -162,8 +164,7 @@ class OnlineSlam:
             return
         step = compose(inverse(self._last.pose), frame.pose)
         took = frame.stamp - self._last.stamp
-        way, turn = float(np.hypot(step[0], step[1])), abs(float(step[2]))
-        if way > max(JUMP_M, FASTEST_M_S * took) or turn > max(JUMP_RAD, FASTEST_RAD_S * took):
+        if jumped(step, took):
             self.jumps.append(Jump(frame.stamp, took <= 0))
             if took <= 0:
                 self.drives += 1
@@ -186,8 +187,11 @@ class OnlineSlam:
                     return
             else:
                 self._stood = 0
+        late = self.waiting > MOST_WAITING
+        if late and len(self._piece) >= MOST_FRAMES:
+            return
         self._amount += abs(way) / PIECE_M + turn / PIECE_RAD
-        if self._amount >= 1 and len(self._piece) >= LEAST_FRAMES:
+        if self._amount >= 1 and len(self._piece) >= LEAST_FRAMES and not late:
             self._beside.put(_Task(self.drives, self._piece, self._robot))
             self._piece, self._amount = [], self._amount % 1
         kept = replace(frame, pose=self._at)

@@ -108,6 +108,12 @@ class Particles:
         self.poses, self.bias, weights = self.poses[near], self.bias[near], self.weights[near]
         self.weights = weights / weights.sum()
 
+    def about(self, pose: Float[ndarray, "3"]) -> Float[ndarray, "3 3"]:
+        """How all of them are spread about a pose, as a covariance (m, m, rad)."""
+        off = self.poses - pose
+        off[:, 2] = wrap(off[:, 2])
+        return np.einsum("n,ni,nj->ij", self.weights, off, off)
+
     def place(self, within: tuple[float, float]) -> Place:
         """The heaviest heap: what lies within so far (m, rad) of its middle."""
         w, poses = self.weights, self.poses
