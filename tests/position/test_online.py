@@ -11,13 +11,18 @@ from echogrid import Mapper, Robot, load_log
 from echogrid.errors import UsageError
 from echogrid.geometry import compose, inverse
 from echogrid.metrics import trajectory_error
+from echogrid.position.forgetting import handed_on
+from echogrid.position.graph import Edges, residuals
 from echogrid.position.online import STOOD, OnlineSlam
 from echogrid.position.remapping import Remapping
+from echogrid.position.slam import MatchEdge
 from experiments.studies.position.odometry import Odometry
 
 B21 = Robot.load("b21")
 FRAMES = list(load_log(SAMPLE, B21))
 TRUTH = np.array([frame.pose for frame in FRAMES])
+STILL = 135
+"""A scan at which the robot does not turn."""
 
 
 def posed(poses):
@@ -85,9 +90,9 @@ def test_scans_come_no_later_for_what_is_placed_beside_them(finder):
 
 
 def test_odometry_that_starts_anew_is_one_drive(finder):
-    anew = posed(np.concatenate([TRUTH[:150], compose(inverse(TRUTH[150]), TRUTH[150:])]))
+    anew = posed(np.concatenate([TRUTH[:STILL], compose(inverse(TRUTH[STILL]), TRUTH[STILL:])]))
     then = driven(finder, anew[:250])
-    assert [(jump.stamp, jump.anew) for jump in finder.jumps] == [(FRAMES[150].stamp, False)]
+    assert [(jump.stamp, jump.anew) for jump in finder.jumps] == [(FRAMES[STILL].stamp, False)]
     assert finder.drives == 0
     assert error(then, TRUTH[:250]) < 0.1
 
@@ -126,6 +131,39 @@ def test_a_robot_that_gets_more_sonars_goes_on(finder):
     driven(online, FRAMES[120:240])
     assert error(np.array([frame.pose for frame in online.scans()]), TRUTH[:240]) < 0.1
     online.close()
+
+
+def test_a_long_drive_is_forgotten_where_others_saw_the_same_and_stays_right(finder, monkeypatch):
+    monkeypatch.setattr("echogrid.position.growing.MOST_PIECES", 60)
+    monkeypatch.setattr("echogrid.position.growing.FORGOTTEN", 12)
+    monkeypatch.setattr("echogrid.position.forgetting.RECENT", 20)
+    then = driven(finder, drifting())
+    graph = finder.graph
+    assert len(graph.cut) <= 60
+    assert graph.taken > len(graph.frames) == graph.cut[-1].end
+    at = np.searchsorted([frame.stamp for frame in FRAMES], [frame.stamp for frame in graph.frames])
+    assert error(graph.frame_poses(), TRUTH[at]) < 0.2
+    assert np.hypot(*(then - TRUTH)[-100:, :2].T).max() < 0.5
+
+
+def test_what_is_handed_on_is_as_far_off_as_before(finder):
+    rng = np.random.default_rng(0)
+    poses = rng.uniform(-2, 2, (4, 3))
+    seen = compose(inverse(poses[1]), poses[2])
+    root = rng.normal(size=(3, 3))
+    edge = MatchEdge(1, 2, compose(seen, np.array([0.002, -0.001, 0.003])), root @ root.T, True)
+    pose, information = handed_on(edge, poses, 0, 3)
+    ends = ((1, 2, edge.pose, edge.information), (0, 3, pose, information))
+    one, other = (
+        Edges(np.array([a]), np.array([b]), measured[None], told[None], np.array([np.inf]))
+        for a, b, measured, told in ends
+    )
+    chi2 = [
+        float(np.einsum("i,ij,j", off, edges.information[0], off))
+        for edges in (one, other)
+        for off in (residuals(poses, edges).off[0],)
+    ]
+    assert chi2[1] == pytest.approx(chi2[0], rel=0.02)
 
 
 def test_a_scan_that_cannot_be_changes_nothing(finder):

@@ -11,10 +11,17 @@ from numpy import ndarray
 
 from echogrid.frame import Frame
 from echogrid.geometry import compose, wrap
-from echogrid.position.motion import corrected, steps
+from echogrid.position.forgetting import chained_variance, handed_on, to_forget
+from echogrid.position.motion import chained, corrected, steps
 from echogrid.position.pieces import LocalMaps, Piece, spread_over
-from echogrid.position.slam import Drive
+from echogrid.position.slam import Drive, MatchEdge
 from echogrid.robot import Robot
+
+MOST_PIECES, FORGOTTEN = 1500, 150
+"""Of a drive that are known at a time; where there are more so many are forgotten."""
+
+JUMPED = np.array([0.2, 0.2, 0.3])
+"""Standard deviations (m, m, rad) of a way on which the odometry jumped: the robot may have moved meanwhile."""
 
 BENT_AT = (16, 32)
 """Pieces after which the heading bias is looked for by how straight it makes the walls."""
@@ -58,13 +65,16 @@ class Growing(Drive):
         """A drive of one piece, of these frames, whose poses are by odometry."""
         self.robot = robot
         self._kept, self._taken = list(frames), len(frames)
+        self._merged: dict[
+            int, Float[ndarray, "3"]
+        ] = {}  # variances of odometry that jumped, or past what is forgotten
         super().__init__(self._kept, np.array([frame.pose for frame in frames], dtype=float), robot)
         self._first = self._kept[self.cut[0].middle].pose
         for k in range(1, self.count):
             self.place(k)
 
-    def extend(self, frames: Sequence[Frame]) -> None:
-        """Place the next piece."""
+    def extend(self, frames: Sequence[Frame], jumped: bool = False) -> None:
+        """Place the next piece; of the way to it odometry may tell little, for it jumped."""
         begin, end = len(self._kept), len(self._kept) + len(frames)
         way = np.array([frame.pose for frame in [self._kept[-1], *frames]], dtype=float)
         self._kept.extend(frames)
@@ -74,11 +84,15 @@ class Growing(Drive):
         self.cut.append(Piece(begin, end, (begin + end) // 2))
         self.count += 1
         self.poses = np.concatenate([self.poses, np.zeros((1, 3))])
+        if jumped:
+            self._merged[self.count - 2] = JUMPED**2
         self._correct()
         self._information = self._odometry_information()
         self.place(self.count - 1)
-        if self.count in BENT_AT:
+        if self._taken == len(self._kept) and self.count in BENT_AT:
             self._unbend()
+        if self.count > MOST_PIECES:
+            self._forget(FORGOTTEN)
 
     def _unbend(self) -> None:
         """Begin anew with the heading bias that makes walls straightest, if it makes them much straighter."""
@@ -91,6 +105,57 @@ class Growing(Drive):
             self._step = corrected(self._step, np.array([0.0, bias, 0.0]))
             self._correct()
             self._solve(self.count)
+
+    def _odometry_information(self) -> Float[ndarray, "pairs 3 3"]:
+        information = super()._odometry_information()
+        for pair, variance in self._merged.items():
+            information[pair] = np.diag(1 / variance) / self._trust**2
+        return information
+
+    def _forget(self, count: int) -> None:
+        """Forget so many pieces where others saw the same; what ties them is handed to the pieces before them."""
+        gone = set(to_forget(self.poses, count))
+        stay = [k for k in range(self.count) if k not in gone]
+        number = {k: n for n, k in enumerate(stay)}
+        self._merged = self._without(gone, number)
+        self.matches = self._handed_on(gone, number)
+        self._headings = {number[k]: heading for k, heading in self._headings.items() if k in number}
+        self._walls = {number[k]: points for k, points in self._walls.items() if k in number}
+        cut = [self.cut[k] for k in stay]
+        frames = np.concatenate([np.arange(piece.first, piece.end) for piece in cut])
+        self._step = steps(chained(np.zeros(3), self._step)[frames])
+        self._kept[:] = [self._kept[k] for k in frames.tolist()]
+        begin, self.cut[:] = 0, []
+        for piece in cut:
+            end = begin + piece.end - piece.first
+            self.cut.append(Piece(begin, end, begin + piece.middle - piece.first))
+            begin = end
+        self.poses, self.count = self.poses[stay], len(stay)
+        self._correct()
+        self._information = self._odometry_information()
+        self._solve(self.count)
+
+    def _without(self, gone: set[int], number: dict[int, int]) -> dict[int, Float[ndarray, "3"]]:
+        """Variances of the odometry past pieces that are forgotten, by the number of the pair."""
+        variance = 1 / (self._information[:, [0, 1, 2], [0, 1, 2]] * self._trust**2)
+        merged = {number[k]: each for k, each in self._merged.items() if k in number and k + 1 in number}
+        for k in gone:
+            way = float(np.hypot(*self._measured[k][:2]))
+            merged[number[k - 1]] = chained_variance(variance[k - 1], variance[k], way)
+        return merged
+
+    def _handed_on(self, gone: set[int], number: dict[int, int]) -> list[MatchEdge]:
+        """The matches of those pieces that stay; of several between the same two the last."""
+        found = {}
+        for edge in self.matches:
+            if edge.second in gone and not edge.loop:
+                continue  # its neighbours have their own
+            first, second = (k - 1 if k in gone else k for k in (edge.first, edge.second))
+            if first < second:
+                pose, information = handed_on(edge, self.poses, first, second)
+                key = number[first], number[second]
+                found[*key, edge.loop] = MatchEdge(*key, pose, information, edge.loop)
+        return list(found.values())
 
     def graph(self) -> Graph:
         """As it is now, in the frame of the odometry's first poses."""

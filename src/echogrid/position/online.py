@@ -53,6 +53,8 @@ class _Task(NamedTuple):
     """Of the next piece."""
     robot: Robot
     """As it is by then."""
+    jumped: bool
+    """Whether the odometry jumped just before."""
 
 
 class _Placing:
@@ -68,7 +70,7 @@ class _Placing:
         else:
             if task.robot is not self._drive.robot:
                 self._drive.equip(task.robot)
-            self._drive.extend(task.frames)
+            self._drive.extend(task.frames, task.jumped)
         return self._number, self._drive.graph()
 
 
@@ -101,7 +103,7 @@ class OnlineSlam:
         self._at, self._pose = at, at
         self._parameters = np.zeros(3)
         self._piece: list[Frame] = []
-        self._amount = 0.0
+        self._amount, self._jumped = 0.0, False
         self._stood = 0
         self._recent: deque[Frame] = deque()  # those from the middle of the last piece placed on, by odometry
         self.kept = 0
@@ -172,6 +174,8 @@ class OnlineSlam:
                 self._begin(np.array(frame.pose, dtype=float))
                 return
             step = np.zeros(3)
+            self._end_piece()
+            self._jumped = True
         self._at = compose(self._at, step)
         self._pose = compose(self._pose, corrected(step[None], self._parameters)[0])
 
@@ -191,13 +195,18 @@ class OnlineSlam:
         if late and len(self._piece) >= MOST_FRAMES:
             return
         self._amount += abs(way) / PIECE_M + turn / PIECE_RAD
-        if self._amount >= 1 and len(self._piece) >= LEAST_FRAMES and not late:
-            self._beside.put(_Task(self.drives, self._piece, self._robot))
-            self._piece, self._amount = [], self._amount % 1
+        if self._amount >= 1 and not late:
+            self._end_piece()
         kept = replace(frame, pose=self._at)
         self._piece.append(kept)
         self._recent.append(kept)
         self.kept += 1
+
+    def _end_piece(self) -> None:
+        """Have what was driven placed, if it is a piece."""
+        if len(self._piece) >= LEAST_FRAMES:
+            self._beside.put(_Task(self.drives, self._piece, self._robot, self._jumped))
+            self._piece, self._amount, self._jumped = [], self._amount % 1, False
 
     def _anchor(self, graph: Graph) -> None:
         """Let the robot's pose be by what was placed last, and by the odometry since."""

@@ -103,7 +103,7 @@ def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], o
     return Found(poses, odometry, nodes, drive.edges(drive.count), loops, drive.drift, {})
 
 
-class _Edge(NamedTuple):
+class MatchEdge(NamedTuple):
     """A match of a piece as an edge of the graph."""
 
     first: int
@@ -122,7 +122,7 @@ class Drive:
         self.count = len(self.cut)
         self.poses = np.zeros((self.count, 3))
         self.parameters = np.zeros(PARAMETERS)
-        self.matches: list[_Edge] = []
+        self.matches: list[MatchEdge] = []
         self._drift, self._trust = Drift(), 1.0
         self._rng = np.random.default_rng(0)
         self._maps = LocalMaps(frames, self.cut, robot)
@@ -271,7 +271,7 @@ class Drive:
         to = max(0, k - ANCHOR)
         found = self._match(k, range(k, k + 1), to, range(max(0, k - BEFORE), k), self._drifted(to, k))
         if found and found.share > CHAIN_SHARE:
-            self.matches.append(_Edge(to, k, found.pose, found.information / np.outer(CHAIN, CHAIN), False))
+            self.matches.append(MatchEdge(to, k, found.pose, found.information / np.outer(CHAIN, CHAIN), False))
 
     def _close_loops(self, k: int) -> None:
         """Match a piece to the maps of places where the robot may have been long before."""
@@ -302,7 +302,7 @@ class Drive:
             and found.surface_agreement >= LOOP_SURFACE
             and found.surface_share >= LOOP_SURFACE_SHARE
         ):
-            self.matches.append(_Edge(j, k, found.pose, found.information, True))
+            self.matches.append(MatchEdge(j, k, found.pose, found.information, True))
 
     # Headings by the direction of walls.
 
