@@ -203,7 +203,7 @@ def test_while_the_place_is_not_known_no_transform_is_told_and_an_initial_pose_m
             (90.0, 1.0, 0.0),
             "map",
             (0.1, 0.1, 0.1),
-            "initial pose not taken: start: found 90",
+            "initial pose not taken: start: found 89.95, 1 m, outside of",
         ),
         ((np.nan, 1.0, 0.0), "map", (0.1, 0.1, 0.1), None),
         ((1.0, 1.0, 0.0), "map", (-1.0, 0.1, 0.1), None),
