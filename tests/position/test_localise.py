@@ -12,6 +12,7 @@ from echogrid.geometry import compose, inverse, wrap
 from echogrid.grid import logit
 from echogrid.position.beams import REACH_M, Beams
 from echogrid.position.particles import Particles
+from echogrid.position.usual import Usual
 from echogrid.robot import parse_robot
 
 CELL = 0.05
@@ -171,6 +172,35 @@ def test_a_start_that_is_wrong_is_noticed(case, robot):
     grid, _, log = case
     found = localise(log, grid, robot, (4.2, 1.0, 0.0))
     assert "lost" in [event.what for event in found.events]
+
+
+def test_a_robot_that_is_carried_away_without_a_jump_says_so_and_is_found_again(robot):
+    grid, poses = plan(8.0, 3.0), drive()
+    there = poses * (1, 1, 1) + (3.0, 0, 0)  # the same way, where there is no closet
+    odometry = np.concatenate([poses, compose(poses[-1], compose(inverse(there[0]), there))])
+    truth = np.concatenate([poses, there])
+    found = localise(frames(grid, robot, truth, odometry), grid, robot, poses[0])
+    carried = len(poses)
+    lost = [event.frame for event in found.events if event.what == "lost"]
+    assert lost
+    assert carried < lost[0] < carried + 150
+    wrong = (off(found.poses, truth) > 0.5) & found.sure
+    assert not wrong[:carried].any()
+    assert not wrong[lost[0] + 1 :].any()
+
+
+def test_what_is_usual_is_learned_and_what_is_far_below_it_is_poor():
+    rng = np.random.default_rng(0)
+    usual = Usual()
+    agreements = rng.normal(10, 4, 2000).tolist()
+    told = []
+    for agreement in agreements:
+        told.append(usual.poor(agreement))
+        usual.add(agreement)
+    assert not any(told[:12])
+    assert np.mean(told) < 0.03
+    assert usual.poor(-5.0)
+    assert not usual.poor(5.0)
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from echogrid.position.beams import FREE, OCCUPIED, Beams
 from echogrid.position.motion import Drift, jumped, lengths
 from echogrid.position.particles import Particles, Place
 from echogrid.position.sights import Ground, sight
+from echogrid.position.usual import Usual
 from echogrid.robot import Robot
 from echogrid.yaml_keys import shown
 
@@ -57,9 +58,12 @@ _HEAP_M, _HEAP_RAD = 0.5, np.deg2rad(25.0)
 _SURE, _FOR, _LEAST_WAY_M = 0.98, 4, 2.0
 """The place is sure when this share of all weight has been at one for so many pieces, and so long a way."""
 
+_STILL_HERE = 0.2
+"""Share of the weight that stays at a place that was doubted: it may be right, and the world have changed."""
+
 _CHANCE, _AT_RANDOM, _LOST = 0.85, 300, 6
 """A place is wrong where for so many pieces more than not it agreed worse than this share of places at random, or led
-through a wall."""
+through a wall, or worse than is usual by far."""
 
 
 @dataclass(frozen=True)
@@ -122,6 +126,7 @@ class Localiser:
         self._grid, self._cell = grid, grid.resolution
         self._ground, self._beams, self._walls = Ground(grid), Beams(grid, robot), _Walls(grid)
         self._seed, self._rng = seed, np.random.default_rng(seed)
+        self._usual = Usual()
         self.events: list[Event] = []
         """What happened so far."""
         self._frames: deque[Frame] = deque(maxlen=_MOST_FRAMES * 16)
@@ -142,6 +147,14 @@ class Localiser:
         self._particles = self._guesses(self._anywhere(int(np.clip(_PER_M2 * self._floor_m2, 2 * _LEAST, _MOST))))
         self._sure, self._certain, self._bad, self._since = False, 0, 0, self._driven
         self._place = self._particles.place((_HEAP_M, _HEAP_RAD))
+
+    def _doubt(self) -> None:
+        """Be anywhere on the floor, or still here."""
+        here = self._particles
+        self._spread()
+        here.weights = here.weights * _STILL_HERE
+        self._particles.weights = self._particles.weights * (1 - _STILL_HERE)
+        self._particles = self._particles.joined(here)
 
     def _guesses(self, poses: Float[ndarray, "n 3"]) -> Particles:
         return Particles(poses, self._rng.normal(0, self._drift.bias, len(poses)))
@@ -189,6 +202,7 @@ class Localiser:
         """Another localiser in the same map, whose robot stands at a pose (m, m, rad)."""
         other = copy(self)
         other._rng = np.random.default_rng(self._seed)
+        other._usual = Usual()
         other.events, other._frames, other._last = [], deque(maxlen=self._frames.maxlen), None
         other._count, other._driven = 0, 0.0
         other._begin_piece()
@@ -257,13 +271,15 @@ class Localiser:
         particles.reweight(here * (1.0 if self._sure else _TEMPER) - _THROUGH * through)
         chance = float(np.quantile(elsewhere, _CHANCE))
         agreement = float(particles.weights @ here)
-        agrees = bool(passed < 0.5 and agreement > chance)
+        agrees = bool(passed < 0.5 and agreement > chance) and not self._usual.poor(agreement)
         if particles.effective() < len(particles) / 2:
             particles.resample(_LEAST, _MOST, rng)
         self._place = particles.place((_HEAP_M, _HEAP_RAD))
         self._frames.clear()
         if np.ptp(evidence) > 0:  # else it saw nothing
             self._judge(agrees)
+            if self._sure and agrees:
+                self._usual.add(agreement)
         if rivals is not None and self._sure:
             rivals.reweight(there * _TEMPER - _THROUGH * barred)
             self._compete(rivals, float(rivals.weights @ there) - agreement)
@@ -324,7 +340,7 @@ class Localiser:
         self._bad = max(0, self._bad - 1) if agrees else self._bad + alone
         if self._bad >= _LOST:
             self._note("lost", frame)
-            self._spread()
+            self._doubt()
         elif not self._sure and self._certain >= _FOR and self._driven - self._since >= _LEAST_WAY_M:
             self._sure = True
             self._begin_rivals()

@@ -73,6 +73,12 @@ class Particles:
         self.poses = compose(self.poses, moved)
         self.bias = self.bias + np.deg2rad(0.15) * root_m * rng.standard_normal(n)
 
+    def joined(self, other: "Particles") -> "Particles":
+        """These and others, with the weights that they have."""
+        both = Particles(np.concatenate([self.poses, other.poses]), np.concatenate([self.bias, other.bias]))
+        both.weights = np.concatenate([self.weights, other.weights])
+        return both
+
     def reweight(self, log_likelihood: Float[ndarray, "n"]) -> None:
         """Weigh by what was seen."""
         with np.errstate(divide="ignore"):
