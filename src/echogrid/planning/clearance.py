@@ -35,8 +35,13 @@ class Floor:
     """Of the footprint, a disc."""
 
     @staticmethod
-    def of(grid: Grid, radius_m: float) -> "Floor":
+    def of(grid: Grid, radius_m: float, rim_m: float = 0.0) -> "Floor":
         """The floor of a map.
+
+        Args:
+            grid: the map.
+            radius_m: of the footprint.
+            rim_m: how wide the rim of unknown cells is to be, at least.
 
         Raises:
             UsageError: the map has no cell that is known to be free, or too many cells.
@@ -47,7 +52,8 @@ class Floor:
         if part.log_odds.size > MOST_CELLS:
             found = f"{part.log_odds.size} cells"
             raise UsageError(f"plan: found a map of {found}, expected at most {MOST_CELLS:.2g}; make them larger")
-        return Floor(part.part(np.array([-1, -1]), (part.shape[0] + 2, part.shape[1] + 2)), radius_m)
+        rim = 1 + int(np.ceil(rim_m / grid.resolution))
+        return Floor(part.part(np.array([-rim, -rim]), (part.shape[0] + 2 * rim, part.shape[1] + 2 * rim)), radius_m)
 
     @cached_property
     def occupied(self) -> Bool[ndarray, "rows cols"]:
@@ -62,12 +68,12 @@ class Floor:
     @cached_property
     def gap_m(self) -> Float[ndarray, "rows cols"]:
         """From the middle of each cell to the nearest side of one that is occupied, m; 0 in one, inf without any."""
-        return _gap(self.occupied, self.grid.resolution)
+        return gap(self.occupied, self.grid.resolution)
 
     @cached_property
     def known_m(self) -> Float[ndarray, "rows cols"]:
         """Likewise to the nearest cell that is not known to be free."""
-        return _gap(~self.free, self.grid.resolution)
+        return gap(~self.free, self.grid.resolution)
 
     @property
     def body_m(self) -> float:
@@ -104,7 +110,7 @@ class Floor:
         return row, col
 
 
-def _gap(cells: Bool[ndarray, "rows cols"], resolution: float) -> Float[ndarray, "rows cols"]:
+def gap(cells: Bool[ndarray, "rows cols"], resolution: float) -> Float[ndarray, "rows cols"]:
     """From the middle of each cell to the nearest of some, m: half a cell less than between their middles."""
     if not cells.any():
         return np.full(cells.shape, np.inf)

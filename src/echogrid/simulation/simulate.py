@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +12,7 @@ from echogrid.extras import need
 from echogrid.frame import Frame
 from echogrid.geometry import compose, wrap
 from echogrid.robot import Robot, Transducer
-from echogrid.simulation.acoustics import Physics, acoustics
+from echogrid.simulation.acoustics import Acoustics, Physics, acoustics
 from echogrid.simulation.scene import RAYS, Scene
 from echogrid.simulation.world import World
 
@@ -79,6 +80,14 @@ class Simulator:
     robot: Robot
     physics: Physics = field(default_factory=Physics)
 
+    @cached_property
+    def _scene(self) -> Scene:
+        return Scene.of(self.world)
+
+    @cached_property
+    def _acoustics(self) -> Acoustics:
+        return acoustics(self.robot.transducer, self.physics)
+
     def ranges(
         self, poses: Float[ndarray, "frames 3"], rng: np.random.Generator, rays: int = RAYS
     ) -> Float[ndarray, "frames sonars"]:
@@ -87,17 +96,21 @@ class Simulator:
         Raises:
             MissingError: JAX is not installed.
         """
+        return self.heard(sonar_poses(self.robot.mounts, poses), rng, rays)
+
+    def heard(
+        self, sonars: Float[ndarray, "frames sonars 3"], rng: np.random.Generator, rays: int = RAYS
+    ) -> Float[ndarray, "frames sonars"]:
+        """Likewise of sonars that are anywhere: where each is and points, world frame, m and rad."""
         need("simulate", "train")
         from echogrid.simulation.echo import scans_ranges
 
-        scene = Scene.of(self.world)
-        ac = acoustics(self.robot.transducer, self.physics)
+        scene, ac = self._scene, self._acoustics
         batch = 64
-        out = np.empty((len(poses), self.robot.sonars))
-        for first in range(0, len(poses), batch):
-            chunk = poses[first : first + batch]
-            fill = min(batch, len(poses)) - len(chunk)
-            mounts = sonar_poses(self.robot.mounts, np.pad(chunk, [(0, fill), (0, 0)]))
+        out = np.empty(sonars.shape[:2])
+        for first in range(0, len(sonars), batch):
+            chunk = sonars[first : first + batch]
+            mounts = np.pad(chunk, [(0, min(batch, len(sonars)) - len(chunk)), (0, 0), (0, 0)])
             offset = self.physics.level_noise_db * rng.standard_normal(mounts.shape[:2])
             result = scans_ranges(
                 scene,

@@ -24,6 +24,10 @@ _TOUCH_M = 0.005
 """Points closer than this are one point."""
 
 
+_BLOCK = 20_000
+"""Pairs of a point and a wall that are looked at together."""
+
+
 @dataclass(frozen=True)
 class World:
     """Walls and cylinders in the plane."""
@@ -124,12 +128,18 @@ class World:
     def clearance(self, p_world: Float[ndarray, "n 2"]) -> Float[ndarray, "n"]:
         """Distance of each point to the nearest wall or cylinder, m; negative inside a cylinder."""
         nearest = np.full(len(p_world), np.inf)
-        for x0, y0, x1, y1 in self.walls:
-            a, along = np.array([x0, y0]), np.array([x1 - x0, y1 - y0])
-            s = np.clip((p_world - a) @ along / (along @ along), 0, 1)
-            nearest = np.minimum(nearest, np.linalg.norm(p_world - a - s[:, None] * along, axis=1))
-        for x, y, radius in self.cylinders:
-            nearest = np.minimum(nearest, np.hypot(p_world[:, 0] - x, p_world[:, 1] - y) - radius)
+        a, along = self.walls[:, :2], self.walls[:, 2:] - self.walls[:, :2]
+        # So many points at once that what lies between them and the walls stays near the processor.
+        block = max(1, _BLOCK // (len(self.walls) + len(self.cylinders)))
+        for first in range(0, len(p_world), block):
+            p = p_world[first : first + block, None]
+            if len(a):
+                s = np.clip(np.sum((p - a) * along, axis=-1) / np.sum(along**2, axis=-1), 0, 1)
+                off = p - a - s[..., None] * along
+                nearest[first : first + block] = np.sqrt(np.min(np.sum(off**2, axis=-1), axis=1))
+            for x, y, radius in self.cylinders:
+                gap = np.hypot(p[:, 0, 0] - x, p[:, 0, 1] - y) - radius
+                nearest[first : first + block] = np.minimum(nearest[first : first + block], gap)
         return nearest
 
     def sight(self, p_world: Float[ndarray, "n 2"], bearing: Float[ndarray, "n"]) -> Float[ndarray, "n"]:

@@ -1,0 +1,180 @@
+"""Exploration in the simulator, closed: a robot drives, hears, maps, and chooses where to go."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy import ndimage
+
+from echogrid.errors import UsageError
+from echogrid.frame import Frame
+from echogrid.grid import FREE_THRESH, Grid
+from echogrid.mapping.mapper import Mapper
+from echogrid.planning.explorer import Explorer, State
+from echogrid.robot import Robot
+from echogrid.simulation.acoustics import Physics
+from echogrid.simulation.vehicle import TICK_S, Vehicle
+from echogrid.simulation.world import World
+
+CONTROL_TICKS = 4
+"""From one command to the next."""
+
+MOST_S = 3 * 3600.0
+"""No exploration takes longer, in the robot's time."""
+
+SEEN_SHARES = (0.9, 0.95, 0.99)
+
+_CELL_M, _SPARE_M = 0.05, 0.1
+"""Of the floor that is asked after; room beside the footprint in the places that count as reachable."""
+
+
+@dataclass
+class Reachable:
+    """The floor of a world that a robot can drive over from its start, as points."""
+
+    points: Float[ndarray, "n 2"]
+
+    @staticmethod
+    def of(world: World, robot: Robot, start: Float[ndarray, "2"]) -> "Reachable":
+        """What its footprint covers where it keeps 10 cm beside it, and gets to from its start.
+
+        Raises:
+            UsageError: it cannot move from there.
+        """
+        low, high = world.bounds()
+        cols, rows = np.ceil((high - low) / _CELL_M).astype(int) + 1
+        x, y = (low[k] + (np.arange(n) + 0.5) * _CELL_M for k, n in enumerate((cols, rows)))
+        middles = np.stack(np.meshgrid(x, y), axis=-1)
+        gap = world.clearance(middles.reshape(-1, 2)).reshape(rows, cols)
+        keep = robot.footprint_radius_m + _SPARE_M
+        pieces, _ = ndimage.label(gap > keep)
+        col, row = np.floor((start - low) / _CELL_M).astype(int)
+        inside = 0 <= row < rows and 0 <= col < cols
+        if not inside or not (piece := pieces[row, col]):
+            found = f"({start[0]:.2f}, {start[1]:.2f}) m, less than {keep:.2f} m from a wall, or outside"
+            raise UsageError(f"world {world.name}: start: found {found}, expected a place to begin")
+        off = ndimage.distance_transform_edt(pieces != piece) * _CELL_M
+        border = pieces == piece
+        if border[[0, -1]].any() or border[:, [0, -1]].any():
+            raise UsageError(f"world {world.name}: found a hole through which the robot gets out, expected walls all round")
+        return Reachable(middles[off <= robot.footprint_radius_m])
+
+    def seen(self, grid: Grid) -> float:
+        """Share of it that a map knows to be free."""
+        free = grid.observed & (grid.probability() < FREE_THRESH)
+        index = grid.index_of(self.points)
+        inside = np.all((index >= 0) & (index < grid.shape), axis=1)
+        return float(np.sum(free[tuple(index[inside].T)]) / len(self.points))
+
+
+@dataclass
+class Explored:
+    """What came of an exploration."""
+
+    frames: list[Frame]
+    """The log: as it was mapped, a frame a tick."""
+    grid: Grid
+    end: str
+    """Why it ended."""
+    home_m: float
+    """From where it ended to where it began, true."""
+    way_m: float
+    time_s: float
+    """By the robot's clock."""
+    bumps: int
+    """Times that it touched anything."""
+    least_m: float
+    """Least room that was truly beside it."""
+    seen: Float[ndarray, "n 3"]
+    """Way (m), time (s) and share of the reachable floor that the map knew to be free by then."""
+    decision_s: Float[ndarray, "decisions"]
+    """Time that each decision took the computer."""
+    frontiers_left: int
+    """Places at the edge of what is known that showed nothing new."""
+
+    def until(self, share: float) -> tuple[float, float] | None:
+        """Way (m) and time (s) until a share of the reachable floor was seen; None: it never was."""
+        there = np.flatnonzero(self.seen[:, 2] >= share)
+        return (float(self.seen[there[0], 0]), float(self.seen[there[0], 1])) if there.size else None
+
+    def told(self) -> dict[str, object]:
+        """What explore.json holds."""
+        reached = {f"{share:.0%}": self.until(share) for share in SEEN_SHARES}
+        return {
+            "end": self.end,
+            "seen": round(float(self.seen[-1, 2]), 4),
+            "way_m": round(self.way_m, 2),
+            "time_s": round(self.time_s, 1),
+            "until": {
+                key: None if value is None else {"way_m": round(value[0], 2), "time_s": round(value[1], 1)}
+                for key, value in reached.items()
+            },
+            "collisions": self.bumps,
+            "least_clearance_m": round(self.least_m, 3),
+            "home_m": round(self.home_m, 3),
+            "frontiers_left": self.frontiers_left,
+            "decisions": len(self.decision_s),
+            "decision_ms": {
+                "median": round(1000 * float(np.median(self.decision_s)), 1),
+                "most": round(1000 * float(np.max(self.decision_s)), 1),
+            },
+        }
+
+
+@dataclass
+class Exploration:
+    """A robot that explores a world."""
+
+    world: World
+    robot: Robot
+    start: Float[ndarray, "3"]
+    """m, m, rad."""
+    seed: int = 0
+    physics: Physics = field(default_factory=Physics)
+    mapper: Mapper | None = None
+    """Of its map; None: by the default model."""
+    explorer: Explorer | None = None
+    """What decides; None: as it comes."""
+    progress: Callable[[Explorer, Vehicle, Grid], None] | None = None
+    """Called after each decision."""
+
+    def run(self) -> Explored:
+        """Explore until it is done.
+
+        Raises:
+            UsageError: it cannot begin, or the world is not closed.
+            MissingError: JAX is not installed.
+        """
+        reachable = Reachable.of(self.world, self.robot, self.start[:2])
+        vehicle = Vehicle(self.world, self.robot, self.start, self.seed, self.physics)
+        mapper = self.mapper or Mapper(self.robot)
+        explorer = self.explorer or Explorer(self.robot)
+        frames: list[Frame] = []
+        seen, took = [], []
+        while explorer.state != "done" and vehicle.time_s < MOST_S:
+            bumps = vehicle.bumps
+            heard = vehicle.go_on(CONTROL_TICKS)
+            mapper.add(heard)
+            frames += heard
+            if vehicle.bumps > bumps:
+                explorer.bumped(vehicle.pose)
+            if explorer.due(vehicle.time_s):
+                begin = time.perf_counter()
+                grid = mapper.grid()
+                explorer.think(grid, vehicle.pose, vehicle.time_s)
+                took.append(time.perf_counter() - begin)
+                seen.append((vehicle.way_m, vehicle.time_s, reachable.seen(grid)))
+                if self.progress:
+                    self.progress(explorer, vehicle, grid)
+            x, y, _ = vehicle.pose.tolist()
+            vehicle.command(*explorer.drive(mapper.around(x, y, explorer.around_m()), vehicle.pose))
+        grid = mapper.grid()
+        seen.append((vehicle.way_m, vehicle.time_s, reachable.seen(grid)))
+        return Explored(
+            frames, grid, explorer.end or "the time was up", float(np.linalg.norm(vehicle.pose[:2] - self.start[:2])),
+            vehicle.way_m, vehicle.time_s, vehicle.bumps, vehicle.least_m, np.array(seen), np.array(took),
+            len(explorer.left),
+        )  # fmt: skip

@@ -1,0 +1,282 @@
+"""Where to go next on a map that grows, and how: until nothing is left that can be reached and is not known."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from echogrid.geometry import wrap
+from echogrid.grid import FREE_THRESH, Grid
+from echogrid.planning.clearance import Floor
+from echogrid.planning.following import TURNED_RAD, Pace, follow, may_go, turn_by
+from echogrid.planning.frontiers import Edges, Frontier, edges
+from echogrid.planning.paths import path_along
+from echogrid.robot import Robot
+
+THINK_S = 1.0
+"""So often, at least, a robot that drives thinks about where to."""
+
+GAIN_M, MOST_GAIN_M2 = 0.25, 4.0
+"""Metres that a square metre of ground not yet seen is worth, up to so many of these."""
+
+TURN_M = 0.3
+"""Metres that a turn of one radian costs at the beginning of a way."""
+
+FAITH_M = 1.5
+"""Metres by which another place must be better than that to which the robot is under way."""
+
+SAME_M = 0.6
+"""Frontiers so near to each other are the same, a moment later."""
+
+TRIES, BLOCKS = 2, 4
+"""A place that shows nothing new so often, or on the way to which the robot had to stop so often, is set aside."""
+
+STUCK_M, STUCK_S = 40.0, 240.0
+"""A robot that has seen nothing new for such a way, or such a time, has seen what it can."""
+
+NEW_M2 = 0.05
+"""Less than this is nothing new."""
+
+AROUND_M = 1.6
+"""Side of the square, beside the footprint, that is looked at at each step, m."""
+
+STEP_OFF_M = 0.4
+"""A robot that stands where it cannot be, by the map, looks so far around for a place to go to."""
+
+RIM_M = 0.6
+"""So much unknown ground is thought of round the map."""
+
+BACK_M = 0.15
+"""Backwards from what was touched."""
+
+State = Literal["looking", "exploring", "returning", "done"]
+
+
+@dataclass
+class _Aside:
+    """A frontier that is left alone for now."""
+
+    place: Float[ndarray, "2"]
+    tries: int
+    forgiven: bool = False
+
+
+@dataclass
+class Explorer:
+    """Drives a robot through what it does not know: map and pose in, wheel velocities out.
+
+    It keeps the footprint on what the map knows to be free. It begins with a look round; goes where a way is short and
+    much is to be seen, and stays with that unless another place is clearly better; leaves alone what shows nothing
+    new, and tries that once more before it is done; then it drives back to where it began.
+    """
+
+    robot: Robot
+    pace: Pace = field(default_factory=Pace)
+
+    def __post_init__(self) -> None:
+        self.state: State = "looking"
+        self.goal: Frontier | None = None
+        self.path: Float[ndarray, "n 2"] | None = None
+        self.end = ""
+        """Why it is done."""
+        self.left: list[Frontier] = []
+        """Frontiers that remain when it is done, none of which showed anything new."""
+        self._home: Float[ndarray, "2"] | None = None
+        self._turn, self._heading = 2 * np.pi, None
+        self._aside: list[_Aside] = []
+        self._bumps: list[Float[ndarray, "2"]] = []
+        self._back_m = 0.0
+        self._last: Float[ndarray, "2"] | None = None
+        self._thought_s, self._blocked, self._looked = -np.inf, 0, False
+        self._way_m, self._news = 0.0, (0.0, 0.0, 0.0)
+
+    def around_m(self) -> float:
+        """Side of the square round the robot that ``drive`` is to be given, m."""
+        return 2 * self.robot.footprint_radius_m + AROUND_M
+
+    def due(self, stamp: float) -> bool:
+        """Whether to ``think`` before the next ``drive``."""
+        if self.state == "done" or self._turn or self._back_m:
+            return False
+        return self.path is None or stamp - self._thought_s >= THINK_S
+
+    def bumped(self, pose: Float[ndarray, "3"], bearing: float = 0.0) -> None:
+        """Something was touched that no map shows: remember it, and back off.
+
+        Args:
+            pose: of the robot, m, m, rad.
+            bearing: of what was touched, from forward, rad.
+        """
+        angle = pose[2] + bearing
+        self._bumps.append(pose[:2] + self.robot.footprint_radius_m * np.array([np.cos(angle), np.sin(angle)]))
+        self._back_m, self.path, self.goal, self._turn = BACK_M, None, None, 0.0
+
+    def think(self, grid: Grid, pose: Float[ndarray, "3"], stamp: float) -> None:
+        """Decide where to go, by the map as it is now.
+
+        Args:
+            grid: the map.
+            pose: of the robot in it, m, m, rad.
+            stamp: s.
+        """
+        self._thought_s = stamp
+        if self._home is None:
+            self._home = pose[:2].copy()
+        floor = self.floor(grid)
+        self._note_news(floor, stamp)
+        at = _stand(floor, pose)
+        if at is None:
+            self._finish("the robot stands where by the map it cannot be")
+            return
+        found = edges(floor, self.robot, at)
+        if self.state in ("looking", "exploring"):
+            self.state = "exploring"
+            self._choose(found, pose)
+            if self.goal is None:
+                self.state = "returning"
+        if self.state == "returning":
+            self.left = found.frontiers
+            self._return(floor, found)
+        elif self.goal is not None:
+            self._go(floor, found, self.goal.cell)
+
+    def floor(self, grid: Grid) -> Floor:
+        """The floor of a map, with what was touched."""
+        floor = Floor.of(grid, self.robot.footprint_radius_m, RIM_M)
+        for place in self._bumps:
+            if (cell := floor.cell(place)) is not None:
+                floor.grid.log_odds[cell], floor.grid.observed[cell] = 5.0, True
+        return floor
+
+    def drive(self, around: Grid, pose: Float[ndarray, "3"]) -> tuple[float, float]:
+        """The velocity (m/s, rad/s) that wheels are to have now.
+
+        Args:
+            around: the map as it is now, ``around_m`` round the robot.
+            pose: of the robot, m, m, rad.
+        """
+        self._way_m += 0.0 if self._last is None else float(np.linalg.norm(pose[:2] - self._last))
+        moved = 0.0 if self._last is None else float(np.linalg.norm(pose[:2] - self._last))
+        self._last = pose[:2].copy()
+        if self.state == "done":
+            return 0.0, 0.0
+        if self._back_m:
+            self._back_m = max(0.0, self._back_m - moved - 1e-4)
+            return -0.1, 0.0
+        if self._turn:
+            return 0.0, self._turned(float(pose[2]))
+        if self.path is None:
+            return 0.0, 0.0
+        if not np.any(around.observed & (around.probability() < FREE_THRESH)):
+            return self._stop()
+        floor = self.floor(around)
+        cell = floor.cell(pose[:2])
+        room = 0.0 if cell is None else float(floor.known_m[cell]) - self.robot.footprint_radius_m
+        velocity = follow(self.path, pose, room, self.pace)
+        if velocity is None:
+            self._arrive()
+            return 0.0, 0.0
+        return velocity if may_go(floor, pose, velocity, self.pace) else self._stop()
+
+    def _turned(self, heading: float) -> float:
+        """Go on with a turn; its rate, rad/s."""
+        if self._heading is not None:
+            self._turn = max(0.0, self._turn - max(0.0, float(wrap(heading - self._heading))))
+        self._heading = heading
+        if self._turn < TURNED_RAD:
+            self._turn, self._heading = 0.0, None
+            return 0.0
+        return turn_by(self._turn, self.pace)
+
+    def _stop(self) -> tuple[float, float]:
+        """What lies ahead is not known to be free, other than it was when the way was chosen."""
+        self._blocked += 1
+        if self._blocked >= BLOCKS and self.goal is not None:
+            self._set_aside(self.goal)
+        self.path = None
+        return 0.0, 0.0
+
+    def _arrive(self) -> None:
+        self.path = None
+        if self.state == "returning":
+            self._finish(self.end or "nothing that can be reached is unknown")
+        elif self.goal is not None and not self._looked:
+            self._turn, self._looked = 2 * np.pi, True
+        elif self.goal is not None:
+            self._set_aside(self.goal)
+
+    def _set_aside(self, frontier: Frontier) -> None:
+        for one in self._aside:
+            if np.linalg.norm(one.place - frontier.place) < SAME_M:
+                one.tries, one.forgiven = one.tries + 1, False
+                break
+        else:
+            self._aside.append(_Aside(frontier.place, 1))
+        self.goal, self._blocked, self._looked = None, 0, False
+
+    def _choose(self, found: Edges, pose: Float[ndarray, "3"]) -> None:
+        """Which frontier is worth most."""
+        fresh = [frontier for frontier in found.frontiers if not self._left_alone(frontier)]
+        if not fresh:  # what was set aside once is tried again, for by now more is known around it
+            for one in self._aside:
+                one.forgiven = one.tries < TRIES
+            fresh = [frontier for frontier in found.frontiers if not self._left_alone(frontier)]
+        if not fresh or self.end:
+            self.goal = None
+            return
+        best = min(fresh, key=lambda frontier: self._worth(frontier, pose))
+        if self.goal is None or np.linalg.norm(best.place - self.goal.place) > SAME_M:
+            self._blocked, self._looked = 0, False
+        self.goal = best
+
+    def _left_alone(self, frontier: Frontier) -> bool:
+        return any(
+            not one.forgiven and np.linalg.norm(one.place - frontier.place) < SAME_M for one in self._aside
+        )
+
+    def _worth(self, frontier: Frontier, pose: Float[ndarray, "3"]) -> float:
+        """What it costs to go there less what is to be seen, m."""
+        to = frontier.place - pose[:2]
+        turn = abs(float(wrap(np.arctan2(to[1], to[0]) - pose[2]))) if np.linalg.norm(to) > 0.1 else 0.0
+        worth = frontier.cost + TURN_M * turn - GAIN_M * min(frontier.gain_m2, MOST_GAIN_M2)
+        under_way = self.goal is not None and np.linalg.norm(frontier.place - self.goal.place) < SAME_M
+        return worth - FAITH_M if under_way else worth
+
+    def _go(self, floor: Floor, found: Edges, cell: tuple[int, int]) -> None:
+        costs = floor.costs()
+        # The field leads to the robot; the way is the same backwards.
+        self.path = path_along(floor, costs, found.to_go, cell).points[::-1]
+
+    def _return(self, floor: Floor, found: Edges) -> None:
+        assert self._home is not None
+        home = floor.nearest(found.reach, self._home)
+        if home is None:
+            self._finish("no way leads back")
+            return
+        self._go(floor, found, home)
+
+    def _note_news(self, floor: Floor, stamp: float) -> None:
+        """Take down how much floor is known, and see whether that still grows."""
+        area = float(np.count_nonzero(floor.free)) * floor.grid.resolution**2
+        known, way, since = self._news
+        if area > known + NEW_M2 or self.state == "returning":
+            self._news = area, self._way_m, stamp
+        elif self._way_m - way > STUCK_M or stamp - since > STUCK_S:
+            self.end = self.end or "nothing new was seen for a long way"
+
+    def _finish(self, why: str) -> None:
+        self.state, self.end, self.path, self.goal = "done", why, None, None
+
+
+def _stand(floor: Floor, pose: Float[ndarray, "3"]) -> tuple[int, int] | None:
+    """The cell in which the robot stands, or the nearest to it in which it could."""
+    open_ = np.isfinite(floor.costs())
+    cell = floor.cell(pose[:2])
+    if cell is not None and open_[cell]:
+        return cell
+    near = floor.nearest(open_, pose[:2])
+    if near is None or np.linalg.norm(floor.grid.centre_of(np.array(near)) - pose[:2]) > STEP_OFF_M:
+        return None
+    return near
