@@ -1,4 +1,4 @@
-// The whole field of costs to the nearest of some goals.
+// Fields of a whole map: the costs to the nearest of some goals, the distance from some cells.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -11,6 +11,7 @@
 #include "arrays.hpp"
 #include "bindings.hpp"
 #include "cost_to_go.hpp"
+#include "distance.hpp"
 
 namespace nb = nanobind;
 
@@ -73,10 +74,30 @@ NewArray<double> cost_to_go(const Array2<float>& costs, const Array2<int64_t>& g
     return new_array(std::move(inner), {rows, cols});
 }
 
+NewArray<float> distance(const Array2<bool>& marked) {
+    const size_t rows = marked.shape(0), cols = marked.shape(1);
+    if (rows >= INT32_MAX || cols >= INT32_MAX || rows * cols >= INT32_MAX)
+        refuse("marked: found " + shape_text(marked) + " cells, expected less than 2^31");
+    auto found = std::make_unique_for_overwrite<float[]>(rows * cols);
+    {
+        const nb::gil_scoped_release others_run;
+        std::vector<int32_t> along(rows * cols), first(cols), apex(cols);
+        find_distance({static_cast<int32_t>(rows),
+                       static_cast<int32_t>(cols),
+                       {marked.data(), rows * cols},
+                       {found.get(), rows * cols},
+                       along,
+                       first,
+                       apex});
+    }
+    return new_array(std::move(found), {rows, cols});
+}
+
 }  // namespace
 
 void bind_cost_to_go(nb::module_& module) {
     module.def("cost_to_go", &cost_to_go, nb::arg("costs"), nb::arg("goals").noconvert(), nb::arg("resolution"));
+    module.def("distance", &distance, nb::arg("marked").noconvert());
 }
 
 }  // namespace echogrid

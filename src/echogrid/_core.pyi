@@ -78,6 +78,15 @@ def cost_to_go(
         UsageError: a cost is negative or nan, a goal lies outside, or the map has 2^31 cells.
     """
 
+def distance(marked: Bool[ndarray, "rows cols"]) -> Float32[ndarray, "rows cols"]:
+    """How far each cell is from the nearest that is marked, in cells, between their middles; inf without any.
+
+    Exact but for the rounding of float32 (Meijster, Roerdink & Hesselink 2000).
+
+    Raises:
+        UsageError: the map has 2^31 cells.
+    """
+
 class SonarArray:
     """An array of sonars, and what it fixes of the set network's polar table."""
 

@@ -7,10 +7,10 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 from numpy import ndarray
-from scipy import ndimage
 
+from echogrid import _core
 from echogrid.errors import UsageError
-from echogrid.grid import FREE_THRESH, OCCUPIED_THRESH, Grid
+from echogrid.grid import FREE_THRESH, OCCUPIED_THRESH, Grid, logit
 
 MARGIN_M = 0.03
 """Kept between the footprint and what is occupied: maps, poses and drives are exact to some centimetres."""
@@ -33,15 +33,18 @@ class Floor:
     grid: Grid
     radius_m: float
     """Of the footprint, a disc."""
+    margin_m: float = MARGIN_M
+    """Kept besides from what is occupied."""
 
     @staticmethod
-    def of(grid: Grid, radius_m: float, rim_m: float = 0.0) -> "Floor":
+    def of(grid: Grid, radius_m: float, rim_m: float = 0.0, margin_m: float = MARGIN_M) -> "Floor":
         """The floor of a map.
 
         Args:
             grid: the map.
             radius_m: of the footprint.
             rim_m: how wide the rim of unknown cells is to be, at least.
+            margin_m: kept besides from what is occupied.
 
         Raises:
             UsageError: the map has no cell that is known to be free, or too many cells.
@@ -53,32 +56,41 @@ class Floor:
             found = f"{part.log_odds.size} cells"
             raise UsageError(f"plan: found a map of {found}, expected at most {MOST_CELLS:.2g}; make them larger")
         rim = 1 + int(np.ceil(rim_m / grid.resolution))
-        return Floor(part.part(np.array([-rim, -rim]), (part.shape[0] + 2 * rim, part.shape[1] + 2 * rim)), radius_m)
+        return Floor(part.part(np.array([-rim, -rim]), (part.shape[0] + 2 * rim, part.shape[1] + 2 * rim)), radius_m, margin_m)
 
     @cached_property
     def occupied(self) -> Bool[ndarray, "rows cols"]:
         """Cells that were observed and have p > OCCUPIED_THRESH."""
-        return self.grid.observed & (self.grid.probability() > OCCUPIED_THRESH)
+        return self.above(OCCUPIED_THRESH)
+
+    def above(self, p: float) -> Bool[ndarray, "rows cols"]:
+        """Cells that were observed and are occupied with more than a probability."""
+        return self.grid.observed & (self.grid.log_odds > logit(p))
 
     @cached_property
     def free(self) -> Bool[ndarray, "rows cols"]:
         """Cells that were observed and have p < FREE_THRESH; what is neither free nor occupied is unknown."""
-        return self.grid.observed & (self.grid.probability() < FREE_THRESH)
+        return self.grid.observed & (self.grid.log_odds < logit(FREE_THRESH))
 
     @cached_property
-    def gap_m(self) -> Float[ndarray, "rows cols"]:
+    def gap_m(self) -> Float32[ndarray, "rows cols"]:
         """From the middle of each cell to the nearest side of one that is occupied, m; 0 in one, inf without any."""
         return gap(self.occupied, self.grid.resolution)
 
     @cached_property
-    def known_m(self) -> Float[ndarray, "rows cols"]:
+    def known_m(self) -> Float32[ndarray, "rows cols"]:
         """Likewise to the nearest cell that is not known to be free."""
         return gap(~self.free, self.grid.resolution)
 
     @property
     def body_m(self) -> float:
         """What the robot's middle keeps from what is in its way, m."""
-        return self.radius_m + MARGIN_M
+        return self.radius_m + self.margin_m
+
+    @cached_property
+    def known_costs(self) -> Float32[ndarray, "rows cols"]:
+        """``costs`` where what is unknown is closed."""
+        return self.costs()
 
     def costs(self, unknown: bool = False) -> Float32[ndarray, "rows cols"]:
         """What a metre costs the robot's middle in each cell; inf where it cannot be.
@@ -89,11 +101,11 @@ class Floor:
         Args:
             unknown: whether the footprint may cover what is unknown, at UNKNOWN_COST a metre.
         """
-        blocked = self.gap_m < self.body_m
-        beside = np.minimum(self.gap_m - self.body_m, self.known_m - self.radius_m)
-        cost = 1 + DEAR * np.exp(-np.maximum(beside, 0) / EASY_M)
-        over = self.known_m < self.radius_m
-        return np.where(blocked, np.inf, np.where(over, UNKNOWN_COST if unknown else np.inf, cost)).astype(np.float32)
+        beside = np.minimum(self.gap_m - np.float32(self.body_m), self.known_m - np.float32(self.radius_m))
+        costs = 1 + np.float32(DEAR) * np.exp(-np.maximum(beside, 0) / np.float32(EASY_M))
+        costs[self.known_m < self.radius_m] = UNKNOWN_COST if unknown else np.inf
+        costs[self.gap_m < self.body_m] = np.inf
+        return costs
 
     def cell(self, p_map: Float[ndarray, "2"] | Sequence[float]) -> tuple[int, int] | None:
         """The cell [row, col] that holds a point, m; None outside."""
@@ -110,8 +122,6 @@ class Floor:
         return row, col
 
 
-def gap(cells: Bool[ndarray, "rows cols"], resolution: float) -> Float[ndarray, "rows cols"]:
+def gap(cells: Bool[ndarray, "rows cols"], resolution: float) -> Float32[ndarray, "rows cols"]:
     """From the middle of each cell to the nearest of some, m: half a cell less than between their middles."""
-    if not cells.any():
-        return np.full(cells.shape, np.inf)
-    return np.maximum(np.asarray(ndimage.distance_transform_edt(~cells)) - 0.5, 0) * resolution
+    return np.maximum(_core.distance(cells) - np.float32(0.5), 0) * np.float32(resolution)

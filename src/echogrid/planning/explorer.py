@@ -27,11 +27,25 @@ TURN_M = 0.3
 FAITH_M = 1.5
 """Metres by which another place must be better than that to which the robot is under way."""
 
+DOUBTS = (0.9, 0.975)
+"""What is occupied with less than the first may be a door: its posts, from afar, are heard all over it. When nothing
+else is left, so is what is occupied with less than the next."""
+
+LEAST_LOOKS, MOST_LOOKS, NEAR_M, FAR_M = 4, 8, 0.7, 1.1
+"""A place is come to again, from another place within FAR_M of it: looks from one and the same place tell the same.
+After LEAST_LOOKS places only while something new is seen within NEAR_M, and MOST_LOOKS at most."""
+
+NEW_CELLS_M2 = 0.006
+"""What has become free there by one look, at least, to be something new."""
+
 SAME_M = 0.6
 """Frontiers so near to each other are the same, a moment later."""
 
 TRIES, BLOCKS = 2, 4
 """A place that shows nothing new so often, or on the way to which the robot had to stop so often, is set aside."""
+
+PAST_M = 0.3
+"""A robot that has come so far since it had to stop is past that."""
 
 STUCK_M, STUCK_S = 40.0, 240.0
 """A robot that has seen nothing new for such a way, or such a time, has seen what it can."""
@@ -89,7 +103,10 @@ class Explorer:
         self._bumps: list[Float[ndarray, "2"]] = []
         self._back_m = 0.0
         self._last: Float[ndarray, "2"] | None = None
-        self._thought_s, self._blocked, self._looked = -np.inf, 0, False
+        self._thought_s, self._blocked, self._blocked_m = -np.inf, 0, 0.0
+        self._looks: list[Float[ndarray, "2"]] = []
+        self._free_m2, self._floor, self._found = 0.0, None, None
+        self._doubt = 0
         self._way_m, self._news = 0.0, (0.0, 0.0, 0.0)
 
     def around_m(self) -> float:
@@ -130,10 +147,15 @@ class Explorer:
         if at is None:
             self._finish("the robot stands where by the map it cannot be")
             return
-        found = edges(floor, self.robot, at)
+        found = edges(floor, self.robot, at, DOUBTS[self._doubt])
+        self._floor, self._found = floor, found
         if self.state in ("looking", "exploring"):
             self.state = "exploring"
             self._choose(found, pose)
+            while self.goal is None and not self.end and self._doubt < len(DOUBTS) - 1:
+                self._doubt += 1
+                found = edges(floor, self.robot, at, DOUBTS[self._doubt])
+                self._choose(found, pose)
             if self.goal is None:
                 self.state = "returning"
         if self.state == "returning":
@@ -143,8 +165,8 @@ class Explorer:
             self._go(floor, found, self.goal.cell)
 
     def floor(self, grid: Grid) -> Floor:
-        """The floor of a map, with what was touched."""
-        floor = Floor.of(grid, self.robot.footprint_radius_m, RIM_M)
+        """The floor of a map, with what was touched. Walls of our maps are thicker than they are; that is margin."""
+        floor = Floor.of(grid, self.robot.footprint_radius_m, RIM_M, margin_m=0.0)
         for place in self._bumps:
             if (cell := floor.cell(place)) is not None:
                 floor.grid.log_odds[cell], floor.grid.observed[cell] = 5.0, True
@@ -192,7 +214,8 @@ class Explorer:
 
     def _stop(self) -> tuple[float, float]:
         """What lies ahead is not known to be free, other than it was when the way was chosen."""
-        self._blocked += 1
+        on = self._way_m - self._blocked_m > PAST_M
+        self._blocked, self._blocked_m = 1 if on else self._blocked + 1, self._way_m
         if self._blocked >= BLOCKS and self.goal is not None:
             self._set_aside(self.goal)
         self.path = None
@@ -202,10 +225,46 @@ class Explorer:
         self.path = None
         if self.state == "returning":
             self._finish(self.end or "nothing that can be reached is unknown")
-        elif self.goal is not None and not self._looked:
-            self._turn, self._looked = 2 * np.pi, True
-        elif self.goal is not None:
-            self._set_aside(self.goal)
+        elif self.goal is not None and self._last is not None:
+            if np.linalg.norm(self._last - self.goal.place) > SAME_M:
+                return  # it has come to a place to come from
+            free = self._free_near(self.goal)
+            if not self._looks:
+                self._turn = 2 * np.pi
+            else:
+                news = free >= self._free_m2 + NEW_CELLS_M2
+                again = len(self._looks) < (MOST_LOOKS if news else LEAST_LOOKS)
+                if not again or not self._step_back(self.goal):
+                    self._set_aside(self.goal)
+                    return
+            self._looks.append(self._last)
+            self._free_m2 = free
+
+    def _free_near(self, frontier: Frontier) -> float:
+        """Floor that is known to be free near a frontier, m2."""
+        if self._floor is None or self._found is None:
+            return 0.0
+        cells = np.argwhere(self._floor.free)
+        near = np.linalg.norm(self._floor.grid.centre_of(cells) - frontier.place, axis=1) < NEAR_M
+        return float(np.count_nonzero(near)) * self._floor.grid.resolution**2
+
+    def _step_back(self, frontier: Frontier) -> bool:
+        """Go to a place from which to come again; whether there is one."""
+        if self._floor is None or self._found is None:
+            return False
+        cells = np.argwhere(self._found.reach)
+        places = self._floor.grid.centre_of(cells)
+        off = np.linalg.norm(places - frontier.place, axis=1)
+        fits = (off > SAME_M) & (off < FAR_M)
+        if not fits.any():
+            return False
+        cells, places = cells[fits], places[fits]
+        before = np.array(self._looks)
+        apart = np.min(np.linalg.norm(places[:, None] - before, axis=2), axis=1)
+        row, col = cells[np.argmax(apart - 0.3 * self._found.to_go[tuple(cells.T)])].tolist()
+        self._looks.append(places[np.argmax(apart - 0.3 * self._found.to_go[tuple(cells.T)])])
+        self._go(self._floor, self._found, (row, col))
+        return True
 
     def _set_aside(self, frontier: Frontier) -> None:
         for one in self._aside:
@@ -214,21 +273,21 @@ class Explorer:
                 break
         else:
             self._aside.append(_Aside(frontier.place, 1))
-        self.goal, self._blocked, self._looked = None, 0, False
+        self.goal, self._blocked, self._looks = None, 0, []
 
     def _choose(self, found: Edges, pose: Float[ndarray, "3"]) -> None:
         """Which frontier is worth most."""
         fresh = [frontier for frontier in found.frontiers if not self._left_alone(frontier)]
         if not fresh:  # what was set aside once is tried again, for by now more is known around it
             for one in self._aside:
-                one.forgiven = one.tries < TRIES
+                one.forgiven = one.tries < TRIES and not self._doubt
             fresh = [frontier for frontier in found.frontiers if not self._left_alone(frontier)]
         if not fresh or self.end:
             self.goal = None
             return
         best = min(fresh, key=lambda frontier: self._worth(frontier, pose))
         if self.goal is None or np.linalg.norm(best.place - self.goal.place) > SAME_M:
-            self._blocked, self._looked = 0, False
+            self._blocked, self._looks = 0, []
         self.goal = best
 
     def _left_alone(self, frontier: Frontier) -> bool:
@@ -245,7 +304,7 @@ class Explorer:
         return worth - FAITH_M if under_way else worth
 
     def _go(self, floor: Floor, found: Edges, cell: tuple[int, int]) -> None:
-        costs = floor.costs()
+        costs = floor.known_costs
         # The field leads to the robot; the way is the same backwards.
         self.path = path_along(floor, costs, found.to_go, cell).points[::-1]
 
@@ -272,7 +331,7 @@ class Explorer:
 
 def _stand(floor: Floor, pose: Float[ndarray, "3"]) -> tuple[int, int] | None:
     """The cell in which the robot stands, or the nearest to it in which it could."""
-    open_ = np.isfinite(floor.costs())
+    open_ = np.isfinite(floor.known_costs)
     cell = floor.cell(pose[:2])
     if cell is not None and open_[cell]:
         return cell

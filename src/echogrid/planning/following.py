@@ -24,6 +24,10 @@ TURNED_RAD = np.deg2rad(4.0)
 SLACK_M = 0.05
 """What lies so far past the place where the robot could stop is looked at besides."""
 
+GRAZE_M = 0.03
+"""So much nearer than its footprint a robot may come, off its path, to what is not known to be free: walls are mapped
+thicker than that."""
+
 REACTION_S = 0.3
 """From what is seen to wheels that slow down."""
 
@@ -99,4 +103,4 @@ def may_go(floor: Floor, pose: Float[ndarray, "3"], velocity: tuple[float, float
     points = pose[:2] + np.stack([s * np.cos(heading), s * np.sin(heading)], axis=1)
     row, col = np.clip(floor.grid.index_of(points), 0, np.array(floor.grid.shape) - 1).T
     room = floor.known_m[row, col] - floor.radius_m
-    return bool(np.all(room[1:] >= min(0.0, float(room[0]) - 1e-9)))
+    return bool(np.all(room[1:] >= min(-GRAZE_M, float(room[0]) - 1e-6)))

@@ -14,9 +14,6 @@ from echogrid.robot import Robot
 BEYOND_M = 0.15
 """What the robot could reach only within this of where it can be counts as seen: rims of walls are never sure."""
 
-SURE = 0.9
-"""What is occupied with less than this may be a door: its posts, from afar, are heard all over it."""
-
 LEAST_M2 = 0.04
 """Of places beyond that for the robot's middle; less is no room."""
 
@@ -62,28 +59,28 @@ class Edges:
     """What it costs from each cell to where the robot is."""
 
 
-def edges(floor: Floor, robot: Robot, at: tuple[int, int]) -> Edges:
+def edges(floor: Floor, robot: Robot, at: tuple[int, int], sure: float) -> Edges:
     """The frontiers of a floor.
 
     Args:
         floor: the map.
         robot: for its sonars.
         at: the cell [row, col] where it stands, which must be open.
+        sure: what is occupied with less than this probability may be a door yet.
     """
-    costs = floor.costs()
+    costs = floor.known_costs
     to_go = _core.cost_to_go(costs, np.array([at], np.int64), floor.grid.resolution)
     reach = np.isfinite(to_go)
-    edge = _edge(floor, reach)
+    edge = _edge(floor, reach, sure)
     groups = _groups(floor, edge, to_go)
     return Edges([_looked(floor, robot, group, to_go) for group in groups], reach, to_go)
 
 
-def _edge(floor: Floor, reach: Bool[ndarray, "rows cols"]) -> Bool[ndarray, "rows cols"]:
+def _edge(floor: Floor, reach: Bool[ndarray, "rows cols"], sure: float) -> Bool[ndarray, "rows cols"]:
     """Cells in reach beside which there is room for the robot, unless what is unknown turns out occupied."""
     size = floor.grid.resolution
     cells = max(1, round(BEYOND_M / size))
-    surely = floor.grid.observed & (floor.grid.probability() > SURE)
-    maybe = (gap(surely, size) >= floor.radius_m) & ~reach
+    maybe = (gap(floor.above(sure), size) >= floor.radius_m) & ~reach
     deep = maybe & ~_grown(reach, cells)
     pieces, count = ndimage.label(deep)
     room = np.bincount(pieces.ravel(), minlength=count + 1) * size**2 >= LEAST_M2
@@ -135,9 +132,9 @@ def look(floor: Floor, robot: Robot, place: Float[ndarray, "2"]) -> tuple[float,
     unknown = ~(floor.free[row, col] | floor.occupied[row, col]) | ~inside
     seen = unknown & ~np.logical_or.accumulate(solid, axis=1)
     area = np.sum(seen * r, axis=1) * _RAY_STEP_M * (2 * np.pi / _RAYS)
-    covered = _covered(robot)
     # Of each heading: what lies in the directions into which its sonars look.
-    gains = np.array([area @ np.roll(covered, k) for k in range(_RAYS)])
+    turned = (np.arange(_RAYS) - np.arange(_RAYS)[:, None]) % _RAYS
+    gains = _covered(robot)[turned] @ area
     best = int(np.argmax(gains))
     return float(bearing[best]), float(gains[best])
 
