@@ -14,7 +14,7 @@ PACKAGE = Path(echogrid.__file__).parent
 PLAN = {
     "": "errors extras _core geometry temporary files packed npz yaml_keys limits robot stillness doubts frame track "
     "grid metrics",
-    "simulation": "regions targets world beam_patterns acoustics rooms drive scene echo simulate",
+    "simulation": "regions targets world beam_patterns acoustics rooms drive scene echo simulate vehicle",
     "ros": "rigid transforms sonars gathering messages",
     "bags": "recognising unpacking ros1_stream message_types bag_file events topics clocks survey units floor mounts "
     "reading_plan reader",
@@ -26,7 +26,7 @@ PLAN = {
     "mapping": "registry intake mapper build",
     "position": "motion graph matching echoes walls pieces slam forgetting growing beside online remapping odometry "
     "corrected particles beams sights usual localise",
-    "planning": "clearance paths",
+    "planning": "clearance paths following frontiers explorer explore",
     "training": "drives gradient_descent paper_examples paper_training set_lessons map_lessons map_training "
     "set_training",
     "output": "trajectory graph_file folder follower map_picture scan_picture map_server_file map_file mcap_file "

@@ -12,15 +12,16 @@ from echogrid.cli.info import Info
 from echogrid.cli.live import Live
 from echogrid.cli.localise import Localise
 from echogrid.cli.maps import Map, Score
-from echogrid.cli.planning import Plan
+from echogrid.cli.planning import Explore, Plan
 from echogrid.cli.simulation import Scan, Simulate, Train
 
-Command = Map | Localise | Plan | Live | Simulate | Scan | Train | Export | Score | Info
+Command = Map | Localise | Plan | Explore | Live | Simulate | Scan | Train | Export | Score | Info
 
 COMMANDS: dict[str, Callable[..., Command]] = {
     "map": Map,
     "localise": Localise,
     "plan": Plan,
+    "explore": Explore,
     "live": Live,
     "simulate": Simulate,
     "scan": Scan,

@@ -33,6 +33,10 @@ echogrid localise drive.csv --robot my-robot.yaml --map house --anywhere
 echogrid plan house --from 1,2 --to 6.5,3          # by the robot that mapped it
 echogrid plan plan.yaml --robot my-robot.yaml --from=-1.5,2 --to 6.5,3
 """,
+    "explore": """
+echogrid explore corridor --robot b21              # look at explored/map.png, or explored/map.html
+echogrid explore my-building.yaml --robot my-robot.yaml --walls smooth --seed 3
+""",
     "info": """
 echogrid info drive.bag
 echogrid info drive.csv --robot p3dx

@@ -1,20 +1,30 @@
-"""Commands that drive, on a map or in a world: plan."""
+"""Commands that drive, on a map or in a world: plan, explore."""
 
+import json
 import os
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from tqdm import tqdm
 from tyro.conf import Positional, arg
 
-from echogrid.cli.arguments import robot_arg
+from echogrid.cli.arguments import WORLD, check_physics, check_seed, drop, robot_arg
 from echogrid.errors import UsageError, escaped
+from echogrid.extras import need
 from echogrid.files import check_writable, made, printable, read_text, replacing
-from echogrid.robot import Robot, parse_robot
+from echogrid.frame import Frame
+from echogrid.output.folder import check_folder
+from echogrid.robot import Robot, parse_robot, robot_yaml
+from echogrid.simulation.acoustics import Physics
+from echogrid.simulation.world import World
 from echogrid.yaml_keys import Keys, parse_yaml
 
 if TYPE_CHECKING:
+    from echogrid.planning.explore import Explored
     from echogrid.planning.paths import Path as Way
 
 _FILES = ("path.csv", "path.png")
@@ -88,3 +98,111 @@ def _robot_of(path: Path) -> Robot:
 def _csv(way: "Way") -> str:
     columns = np.column_stack([way.points, way.s_m, way.clearance_m])
     return "x,y,s,clearance\n" + "".join(",".join(f"{v:.4f}" for v in row) + "\n" for row in columns.tolist())
+
+
+_EXPLORED = ("drive.csv", "drive.truth.npz", "explore.json")
+
+
+@dataclass(frozen=True)
+class Explore:
+    """Let a simulated robot explore a world: it drives, maps, chooses where to go, until all in its reach is known.
+
+    Then it drives back to where it began. Writes the map as echogrid map does, map.html, the log that it drove
+    (drive.csv, with its truth in drive.truth.npz) and explore.json: what was seen by what way, collisions, clearance.
+    """
+
+    world: Annotated[Positional[str], WORLD]
+    robot: Annotated[str, robot_arg()]
+    out: Path = Path("explored")
+    """Folder to write into."""
+    start: Annotated[str | None, arg(metavar="X,Y,DEG")] = None
+    """Where it begins: m, m, degrees. Default: the start of the world, else its roomiest place."""
+    walls: Literal["smooth", "rough", "as-given"] = "as-given"
+    """Make all walls smooth or rough."""
+    seed: int = 0
+    """The same seed gives the same drive."""
+    physics: Physics = field(default_factory=Physics)
+
+    def run(self) -> None:
+        """Explore, and write the folder."""
+        need("explore", "train")
+        from echogrid.output.map_file import write_map
+        from echogrid.output.page import Page
+        from echogrid.planning.explore import Exploration
+        from echogrid.planning.explorer import Explorer
+
+        check_physics(self.physics)
+        check_seed(self.seed)
+        world, robot = World.load(self.world).with_walls(self.walls), Robot.load(self.robot)
+        start = self._start(world, robot)
+        title = escaped(f"{world.name} explored by {robot.name}, walls {self.walls}")
+        with made(self.out):
+            check_folder(self.out, ["map.html"])
+            for name in _EXPLORED:
+                check_writable(self.out / name)
+            with (
+                replacing(self.out / "map.html") as html,
+                tqdm(desc="exploring", unit="m", disable=None, leave=False, bar_format="{desc}: {n:.1f} m") as line,
+            ):
+                page, explorer, last = Page(html, robot, title), Explorer(robot), start
+
+                def show(frame: Frame) -> None:
+                    nonlocal last
+                    page.add(frame)
+                    line.update(float(np.hypot(*(frame.pose - last)[:2])))
+                    last = frame.pose
+
+                found = Exploration(
+                    world, robot, start, self.seed, self.physics, None, explorer, show, page.keep
+                ).run()
+                settings = asdict(self) | {"robot": robot_yaml(robot), "frames": len(found.frames)}
+                path = np.array([frame.pose[:2] for frame in found.frames])
+                write_map(self.out, found.grid, path, settings, title)
+                page.finish(found.grid)
+            self._write(world, robot, found)
+        drop(self.out, ["map.html"])
+        self._report(world, robot, found)
+
+    def _start(self, world: World, robot: Robot) -> Float[ndarray, "3"]:
+        """Where the robot begins, m, m, rad."""
+        from echogrid.simulation.drive import start_of
+
+        if self.start is None:
+            return np.array([*start_of(world, robot.footprint_radius_m + 0.1), 0.0])
+        try:
+            x, y, degrees = (float(number) for number in self.start.split(","))
+        except ValueError:
+            x = y = degrees = np.nan
+        if not np.isfinite([x, y, degrees]).all():
+            raise UsageError(f"--start: found {self.start}, expected X,Y,DEG in m, m and degrees")
+        return np.array([x, y, np.deg2rad(degrees)])
+
+    def _write(self, world: World, robot: Robot, found: "Explored") -> None:
+        """Write what there is besides the map."""
+        from echogrid.logs.csv_log import write_csv
+        from echogrid.output.map_file import write_truth
+        from echogrid.simulation.drive import truth_of
+
+        poses = np.array([frame.pose for frame in found.frames])
+        told: dict[str, Any] = {"world": world.name, "robot": robot.name, "walls": self.walls, "seed": self.seed}
+        with (
+            replacing(self.out / "explore.json") as record,
+            replacing(self.out / "drive.truth.npz") as truth,
+            replacing(self.out / "drive.csv") as log,
+        ):
+            write_csv(log, map(_rounded, found.frames), robot.sonars)
+            write_truth(truth, truth_of(world, poses))
+            record.write_text(json.dumps(told | found.told(), indent=1) + "\n", encoding="utf-8")
+
+    def _report(self, world: World, robot: Robot, found: "Explored") -> None:
+        seen, count = found.seen[-1, 2], found.bumps
+        bumps = f"{count or 'no'} {'collision' if count == 1 else 'collisions'}"
+        what = f"{world.name}: {robot.name} saw {seen:.1%} of the floor in reach by {found.way_m:.1f} m, {bumps}"
+        print(escaped(f"{what}; it ends {found.home_m:.2f} m from its start: {found.end}"))
+        print(escaped(f"{self.out}/map.png, map.html, drive.csv; {self.out}/explore.json has the figures"))
+
+
+def _rounded(frame: Frame) -> Frame:
+    """A frame with as many digits as a log has."""
+    odom = None if frame.odom is None else np.round(frame.odom, 6)
+    return Frame(round(frame.stamp, 3), np.round(frame.pose, 6), np.round(frame.ranges, 4), odom)

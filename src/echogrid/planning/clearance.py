@@ -56,7 +56,9 @@ class Floor:
             found = f"{part.log_odds.size} cells"
             raise UsageError(f"plan: found a map of {found}, expected at most {MOST_CELLS:.2g}; make them larger")
         rim = 1 + int(np.ceil(rim_m / grid.resolution))
-        return Floor(part.part(np.array([-rim, -rim]), (part.shape[0] + 2 * rim, part.shape[1] + 2 * rim)), radius_m, margin_m)
+        return Floor(
+            part.part(np.array([-rim, -rim]), (part.shape[0] + 2 * rim, part.shape[1] + 2 * rim)), radius_m, margin_m
+        )
 
     @cached_property
     def occupied(self) -> Bool[ndarray, "rows cols"]:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -13,10 +13,10 @@ from echogrid.errors import UsageError
 from echogrid.frame import Frame
 from echogrid.grid import FREE_THRESH, Grid
 from echogrid.mapping.mapper import Mapper
-from echogrid.planning.explorer import Explorer, State
+from echogrid.planning.explorer import Explorer
 from echogrid.robot import Robot
 from echogrid.simulation.acoustics import Physics
-from echogrid.simulation.vehicle import TICK_S, Vehicle
+from echogrid.simulation.vehicle import Vehicle
 from echogrid.simulation.world import World
 
 CONTROL_TICKS = 4
@@ -59,7 +59,9 @@ class Reachable:
         off = ndimage.distance_transform_edt(pieces != piece) * _CELL_M
         border = pieces == piece
         if border[[0, -1]].any() or border[:, [0, -1]].any():
-            raise UsageError(f"world {world.name}: found a hole through which the robot gets out, expected walls all round")
+            raise UsageError(
+                f"world {world.name}: found a hole through which the robot gets out, expected walls all round"
+            )
         return Reachable(middles[off <= robot.footprint_radius_m])
 
     def seen(self, grid: Grid) -> float:
@@ -138,8 +140,10 @@ class Exploration:
     """Of its map; None: by the default model."""
     explorer: Explorer | None = None
     """What decides; None: as it comes."""
-    progress: Callable[[Explorer, Vehicle, Grid], None] | None = None
-    """Called after each decision."""
+    on_frame: Callable[[Frame], object] = lambda _: None
+    """Called with each frame when it is mapped."""
+    on_map: Callable[[Grid], object] = lambda _: None
+    """Called with the map after each decision; it goes on to grow."""
 
     def run(self) -> Explored:
         """Explore until it is done.
@@ -159,6 +163,8 @@ class Exploration:
             heard = vehicle.go_on(CONTROL_TICKS)
             mapper.add(heard)
             frames += heard
+            for frame in heard:
+                self.on_frame(frame)
             if vehicle.bumps > bumps:
                 explorer.bumped(vehicle.pose)
             if explorer.due(vehicle.time_s):
@@ -167,8 +173,7 @@ class Exploration:
                 explorer.think(grid, vehicle.pose, vehicle.time_s)
                 took.append(time.perf_counter() - begin)
                 seen.append((vehicle.way_m, vehicle.time_s, reachable.seen(grid)))
-                if self.progress:
-                    self.progress(explorer, vehicle, grid)
+                self.on_map(grid)
             x, y, _ = vehicle.pose.tolist()
             vehicle.command(*explorer.drive(mapper.around(x, y, explorer.around_m()), vehicle.pose))
         grid = mapper.grid()

@@ -27,7 +27,7 @@ TURN_M = 0.3
 FAITH_M = 1.5
 """Metres by which another place must be better than that to which the robot is under way."""
 
-DOUBTS = (0.9, 0.975)
+DOUBTS: tuple[float, ...] = (0.9, 0.975)
 """What is occupied with less than the first may be a door: its posts, from afar, are heard all over it. When nothing
 else is left, so is what is occupied with less than the next."""
 
@@ -65,6 +65,8 @@ RIM_M = 0.6
 BACK_M = 0.15
 """Backwards from what was touched."""
 
+_KNOWN = "nothing that can be reached is unknown"
+
 State = Literal["looking", "exploring", "returning", "done"]
 
 
@@ -81,9 +83,9 @@ class _Aside:
 class Explorer:
     """Drives a robot through what it does not know: map and pose in, wheel velocities out.
 
-    It keeps the footprint on what the map knows to be free. It begins with a look round; goes where a way is short and
-    much is to be seen, and stays with that unless another place is clearly better; leaves alone what shows nothing
-    new, and tries that once more before it is done; then it drives back to where it began.
+    It keeps the footprint on what the map knows to be free. It begins with a look round; goes where the way is short
+    and much is to be seen, and stays with that unless another place is clearly better; leaves alone what shows
+    nothing new, and tries that once more before it is done; then it drives back to where it began.
     """
 
     robot: Robot
@@ -218,13 +220,16 @@ class Explorer:
         self._blocked, self._blocked_m = 1 if on else self._blocked + 1, self._way_m
         if self._blocked >= BLOCKS and self.goal is not None:
             self._set_aside(self.goal)
+        elif self._blocked >= BLOCKS and self.state == "returning" and self._home is not None:
+            off = float(np.linalg.norm(self._home - self._last)) if self._last is not None else np.inf
+            self._finish(self.end or _KNOWN if off < SAME_M else "something is in the way back")
         self.path = None
         return 0.0, 0.0
 
     def _arrive(self) -> None:
         self.path = None
         if self.state == "returning":
-            self._finish(self.end or "nothing that can be reached is unknown")
+            self._finish(self.end or _KNOWN)
         elif self.goal is not None and self._last is not None:
             if np.linalg.norm(self._last - self.goal.place) > SAME_M:
                 return  # it has come to a place to come from
@@ -291,9 +296,7 @@ class Explorer:
         self.goal = best
 
     def _left_alone(self, frontier: Frontier) -> bool:
-        return any(
-            not one.forgiven and np.linalg.norm(one.place - frontier.place) < SAME_M for one in self._aside
-        )
+        return any(not one.forgiven and np.linalg.norm(one.place - frontier.place) < SAME_M for one in self._aside)
 
     def _worth(self, frontier: Frontier, pose: Float[ndarray, "3"]) -> float:
         """What it costs to go there less what is to be seen, m."""

@@ -107,9 +107,7 @@ def _groups(
     return sorted(parts, key=lambda part: float(np.min(to_go[tuple(part.T)])))[:MOST]
 
 
-def _looked(
-    floor: Floor, robot: Robot, cells: Int[ndarray, "n 2"], to_go: Float[ndarray, "rows cols"]
-) -> Frontier:
+def _looked(floor: Floor, robot: Robot, cells: Int[ndarray, "n 2"], to_go: Float[ndarray, "rows cols"]) -> Frontier:
     """A frontier as it is seen from its middle, or the cell of it that is nearest to that."""
     middle = np.mean(cells, axis=0)
     row, col = cells[np.argmin(np.linalg.norm(cells - middle, axis=1))].tolist()

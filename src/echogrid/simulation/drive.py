@@ -80,18 +80,10 @@ def tour(world: World, clearance: float) -> Float[ndarray, "frames 3"]:
     Raises:
         UsageError: no free space to drive in, or ``world.start`` is not in it.
     """
-    low, high = world.bounds()
-    cell = max(0.1, float(np.sqrt(np.prod(high - low) / _MAX_NODES)))
-    nx, ny = np.maximum(1, np.ceil((high - low) / cell)).astype(int)
-    x, y = np.meshgrid(low[0] + (np.arange(nx) + 0.5) * cell, low[1] + (np.arange(ny) + 0.5) * cell)
-    points = np.column_stack([x.ravel(), y.ravel()])
-    gap = world.clearance(points).reshape(ny, nx)
-    free = _room(world, points, gap > clearance)
-    if not free.any():
-        raise UsageError(f"world {world.name}: found no free space {clearance:.2f} m from all walls, expected a room")
-    nodes = -np.ones((ny, nx), dtype=int)
+    places, gap, free, cell = _free_space(world, clearance)
+    nodes = -np.ones(free.shape, dtype=int)
     nodes[free] = np.arange(free.sum())
-    where = points.reshape(ny, nx, 2)[free]
+    where = places[free]
     graph = _lattice(nodes, 1.0 + 2.0 * np.exp(-(gap - clearance) / 0.2), cell)
     stops = _stops(where)
     here = int(np.argmin(np.linalg.norm(where - (world.start or where[0]), axis=1)))
@@ -113,6 +105,34 @@ def tour(world: World, clearance: float) -> Float[ndarray, "frames 3"]:
         left -= set(back)
         here = goal
     return _smooth(where[path])
+
+
+def start_of(world: World, clearance: float) -> Float[ndarray, "2"]:
+    """Where a drive begins (m): ``world.start``, or else the roomiest place of the room that ``tour`` goes through.
+
+    Raises:
+        UsageError: as of ``tour``.
+    """
+    places, gap, free, _ = _free_space(world, clearance)
+    if world.start is not None:
+        return np.array(world.start, dtype=float)
+    return places[free][np.argmax(gap[free])]
+
+
+def _free_space(
+    world: World, clearance: float
+) -> tuple[Float[ndarray, "ny nx 2"], Float[ndarray, "ny nx"], Bool[ndarray, "ny nx"], float]:
+    """Places on a lattice, the distance of each to everything, which are the room's, and their spacing; all in m."""
+    low, high = world.bounds()
+    cell = max(0.1, float(np.sqrt(np.prod(high - low) / _MAX_NODES)))
+    nx, ny = np.maximum(1, np.ceil((high - low) / cell)).astype(int)
+    x, y = np.meshgrid(low[0] + (np.arange(nx) + 0.5) * cell, low[1] + (np.arange(ny) + 0.5) * cell)
+    points = np.column_stack([x.ravel(), y.ravel()])
+    gap = world.clearance(points).reshape(ny, nx)
+    free = _room(world, points, gap > clearance)
+    if not free.any():
+        raise UsageError(f"world {world.name}: found no free space {clearance:.2f} m from all walls, expected a room")
+    return points.reshape(ny, nx, 2), gap, free, cell
 
 
 def _room(world: World, points: Float[ndarray, "n 2"], open_: Bool[ndarray, "ny nx"]) -> Bool[ndarray, "ny nx"]:

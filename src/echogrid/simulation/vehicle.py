@@ -1,6 +1,6 @@
-"""A robot that drives through a world as it is told: wheels, odometry that drifts, sonars that fire in turn, a bumper."""
+"""A robot that drives through a world as it is told: wheels, odometry that drifts, sonars in turn, a bumper."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -23,8 +23,8 @@ AT_ONCE = 4
 _PARTS = 4
 """Steps of the motion in a tick."""
 
-_TOUCH_M = 0.001
-"""A robot that comes so near to a wall touches it."""
+_TOUCH_M, _OFF_M = 0.001, 0.01
+"""A robot that comes so near to a wall touches it, until it is so far from it again."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class Vehicle:
         most = max(map(len, self.groups))
         which = np.array([np.resize(group, most) for group in groups])
         true = self._simulator.heard(compose(poses[:, None], self.robot.mounts[which]), self._rng)
-        quiet = Physics(**(vars(self.physics) | {"range_scale": 0.0}))
+        quiet = replace(self.physics, range_scale=0.0)
         told = disturb(true * self._scale, quiet, self.robot.max_range_m, self._rng)
         ranges = np.full(fired.shape, np.nan)
         np.put_along_axis(ranges, which, told, axis=1)
@@ -178,7 +178,7 @@ class Vehicle:
             self.touching = True
             self.velocity = np.array([0.0, turn])
             there, then = self.pose[:2], self._room_m
-        elif then >= 2 * _TOUCH_M and speed:
+        elif then >= _OFF_M:
             self.touching = False
         self._room_m = then
         self.least_m = min(self.least_m, then)

@@ -1,0 +1,79 @@
+"""Explorations of buildings that nothing was tuned on: what is seen, by what way, and what is touched."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from echogrid import Mapper, Robot
+from echogrid.errors import EchogridError
+from echogrid.planning import explorer
+from echogrid.planning.explore import Exploration
+from echogrid.planning.explorer import Explorer
+from experiments.common.report import record, rounded, table
+from experiments.studies.planning.tours import tour_m
+from experiments.studies.position.buildings import WALLS, building
+
+BUILDINGS = (*(("flat", number) for number in range(10, 16)), ("ring", 10), ("ring", 11), ("hall", 10), ("hall", 11))
+"""Held out: the explorer was made on flats 0, 1 and 3."""
+
+ROBOTS = ("b21", "p3dx")
+
+
+def explored(kind: str, number: int, walls: str, robot_name: str, peer: bool = False) -> dict[str, Any]:
+    """One exploration, with its key.
+
+    A peer maps by Nav2's range layer and goes to the nearest frontier.
+    """
+    key: dict[str, Any] = {"building": f"{kind}-{number}", "walls": walls, "robot": robot_name, "peer": peer}
+    place, robot = building(kind, walls, number), Robot.load(robot_name)
+    start = np.array([*place.way[0], 0.0])
+    chooser, mapper = Explorer(robot), Mapper(robot)
+    if peer:
+        explorer.GAIN_M = explorer.TURN_M = explorer.FAITH_M = 0.0
+        explorer.DOUBTS = (0.65,)
+        mapper = Mapper(robot, "nav2", 0.05)
+    try:
+        found = Exploration(place.world, robot, start, number, mapper=mapper, explorer=chooser).run()
+        return key | found.told() | {"tour_m": tour_m(place.world, robot, start[:2], 0.95)}
+    except EchogridError as error:
+        return key | {"failed": str(error)}
+
+
+def ratio(one: dict[str, Any], share: str = "95%") -> float | None:
+    """The way until a share was seen, by that of the tour."""
+    reached = one["until"][share]
+    return reached["way_m"] / one["tour_m"] if reached else None
+
+
+def summary(found: list[dict[str, Any]]) -> str:
+    """A row for each kind of walls and robot."""
+    rows = []
+    for peer in sorted({one["peer"] for one in found}):
+        for walls in WALLS:
+            for robot in ROBOTS:
+                some = [one for one in found if (one["walls"], one["robot"], one["peer"]) == (walls, robot, peer)]
+                done = [one for one in some if "failed" not in one]
+                if not done:
+                    continue
+                seen = np.array([one["seen"] for one in done])
+                ratios = [value for one in done if (value := ratio(one)) is not None]
+                rows.append([
+                    "nearest frontier, nav2" if peer else "echogrid", walls, robot, str(len(done)),
+                    f"{np.mean(seen):.3f}", f"{np.median(seen):.4f}", f"{np.min(seen):.3f}",
+                    f"{np.count_nonzero(seen >= 0.99)}", f"{np.median(ratios):.2f}" if ratios else "-",
+                    str(sum(one["collisions"] for one in done)),
+                    f"{min(one['least_clearance_m'] for one in done):.3f}",
+                    f"{max(one['home_m'] for one in done):.2f}", f"{np.median([one['way_m'] for one in done]):.0f}",
+                    f"{np.median([one['decision_ms']['median'] for one in done]):.0f}",
+                ])  # fmt: skip
+    header = ("explorer", "walls", "robot", "runs", "seen", "median", "least", ">= 99 %", "95 % / tour", "collisions",
+              "least clearance, m", "from home, m", "way, m", "decision, ms")  # fmt: skip
+    return table(header, rows)
+
+
+def told(found: Iterable[dict[str, Any]], name: str) -> None:
+    """Show and keep what was found."""
+    kept = list(found)
+    print(summary(kept))
+    record(name, {"found": rounded(kept)})

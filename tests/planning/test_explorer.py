@@ -1,0 +1,172 @@
+"""The explorer in plans that it sees without error: what people miss in others is what it must do."""
+
+import math
+
+import numpy as np
+import pytest
+
+from echogrid import Grid, Robot
+from echogrid.geometry import wrap
+from echogrid.planning.explorer import Explorer
+
+CELL, REACH_M, STEP_S = 0.05, 2.0, 0.16
+B21 = Robot.load("b21")
+WIDE, FAR = 160, 100
+"""Cells of a plan: 8 x 5 m."""
+
+
+def shut():
+    """A plan of 8 x 5 m with walls all round; True is solid."""
+    solid = np.zeros((FAR, WIDE), bool)
+    solid[:2] = solid[-2:] = True
+    solid[:, :2] = solid[:, -2:] = True
+    return solid
+
+
+def two_rooms(door=1.0):
+    solid = shut()
+    half = round(door / CELL / 2)
+    solid[:, 79:81] = True
+    solid[50 - half : 50 + half, 79:81] = False
+    return solid
+
+
+class Drive:
+    """A robot whose sonars see each cell in plain sight within REACH_M, as it is, but for those that are dark."""
+
+    def __init__(self, solid, pose=(1.0, 1.0, 0.0), dark=None):
+        self.solid, self.dark = solid, np.zeros_like(solid) if dark is None else dark
+        self.pose, self.explorer, self.time = np.array(pose), Explorer(B21), 0.0
+        self.grid = Grid(np.zeros(solid.shape, np.float32), np.zeros(solid.shape, bool), CELL, (0.0, 0.0))
+        self.way, self.least, self.goals = 0.0, math.inf, []
+        self._middles = self.grid.centre_of(np.argwhere(solid))
+
+    def look(self):
+        bearing = np.arange(240) * (2 * np.pi / 240)
+        r = np.arange(0.0, REACH_M, CELL / 2)
+        points = self.pose[:2] + r[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], 1)[:, None]
+        row, col = np.moveaxis(np.clip(self.grid.index_of(points), 0, np.array(self.solid.shape) - 1), -1, 0)
+        solid = self.solid[row, col]
+        before = np.cumsum(solid, axis=1) - solid == 0
+        for cells, value in ((before & ~solid, -4.0), (before & solid, 6.0)):
+            at = row[cells], col[cells]
+            fine = ~self.dark[at]
+            at = at[0][fine], at[1][fine]
+            self.grid.log_odds[at], self.grid.observed[at] = value, True
+
+    def run(self, most_s=500.0):
+        while self.explorer.state != "done":
+            assert self.time < most_s, "never said that it was done"
+            self.look()
+            if self.explorer.due(self.time):
+                self.explorer.think(self.grid, self.pose, self.time)
+                if self.explorer.goal is not None:
+                    self.goals.append(self.explorer.goal.place)
+            speed, turn = self.explorer.drive(self.grid, self.pose)
+            x, y, theta = self.pose
+            middle = theta + turn * STEP_S / 2
+            there = np.array([x + speed * STEP_S * math.cos(middle), y + speed * STEP_S * math.sin(middle)])
+            self.way += math.dist(there, (x, y))
+            self.pose = np.array([*there, float(wrap(theta + turn * STEP_S))])
+            gap = np.min(np.linalg.norm(self._middles - there, axis=1)) - CELL / 2
+            self.least = min(self.least, gap - B21.footprint_radius_m)
+            self.time += STEP_S
+        return self
+
+    def seen(self):
+        return float(np.mean(self.grid.observed[~self.solid]))
+
+
+def test_all_is_seen_nothing_is_touched_and_it_is_home_again():
+    drive = Drive(two_rooms()).run()
+    assert drive.explorer.end == "nothing that can be reached is unknown"
+    assert drive.explorer.left == []
+    assert drive.seen() > 0.99
+    assert drive.least > -0.035
+    assert math.dist(drive.pose[:2], (1.0, 1.0)) < 0.1
+    assert drive.way < 25  # there and back is 12 m
+
+
+def test_it_does_not_go_to_and_fro_between_two_places_as_far_from_it():
+    solid = shut()
+    drive = Drive(solid, pose=(4.0, 2.5, math.pi / 2)).run()
+    assert drive.seen() > 0.99
+    goals = np.array(drive.goals)
+    side = np.sign(goals[:, 0] - 4.0)
+    assert np.count_nonzero(np.diff(side[side != 0])) <= 3
+    assert drive.way < 20
+
+
+def test_a_room_that_it_cannot_get_into_does_not_hold_it_up():
+    drive = Drive(two_rooms(door=0.4)).run()
+    assert drive.explorer.end == "nothing that can be reached is unknown"
+    assert not drive.grid.observed[:, 120:].any()
+    assert math.dist(drive.pose[:2], (1.0, 1.0)) < 0.1
+    assert drive.way < 20
+
+
+def test_a_place_that_never_shows_anything_is_left_alone_after_a_while():
+    dark = np.zeros((FAR, WIDE), bool)
+    dark[55:90, 50:75] = True
+    drive = Drive(shut(), dark=dark).run()
+    assert drive.seen() > 0.85
+    assert len(drive.explorer.left) >= 1  # and it is told
+    assert math.dist(drive.pose[:2], (1.0, 1.0)) < 0.1
+    assert not np.any(drive.grid.observed[dark])
+
+
+def test_rims_and_corners_that_no_sonar_hears_are_not_run_after():
+    dark = np.zeros((FAR, WIDE), bool)
+    dark[2:4] = dark[-4:-2] = True
+    dark[:, 2:4] = dark[:, -4:-2] = True
+    dark[2:8, 2:8] = True
+    plain, dim = Drive(shut()).run(), Drive(shut(), dark=dark).run()
+    assert dim.explorer.left == []
+    assert dim.way < 1.5 * plain.way
+
+
+def test_what_it_bumps_into_is_remembered_and_kept_away_from():
+    drive = Drive(shut(), pose=(2.0, 2.5, 0.0))
+    drive.look()
+    drive.explorer._turn = 0.0
+    drive.explorer.think(drive.grid, drive.pose, 0.0)
+    drive.explorer.bumped(drive.pose)
+    touched = drive.pose[:2] + np.array([B21.footprint_radius_m, 0])
+    assert drive.explorer.drive(drive.grid, drive.pose)[0] < 0
+    drive.run()
+    floor = drive.explorer.floor(drive.grid)
+    cell = floor.cell(touched)
+    assert cell is not None
+    assert floor.occupied[cell]
+    assert drive.seen() > 0.98
+
+
+def test_a_way_that_shuts_is_not_driven_into():
+    """Between two thoughts a wall appears: the robot stops before it."""
+    drive = Drive(two_rooms(), pose=(2.0, 2.5, 0.0))
+    while drive.pose[0] < 3.2:
+        drive.look()
+        if drive.explorer.due(drive.time):
+            drive.explorer.think(drive.grid, drive.pose, drive.time)
+        speed, turn = drive.explorer.drive(drive.grid, drive.pose)
+        theta = drive.pose[2] + turn * STEP_S
+        drive.pose = np.array([
+            drive.pose[0] + speed * STEP_S * math.cos(theta), drive.pose[1] + speed * STEP_S * math.sin(theta), theta
+        ])  # fmt: skip
+        drive.time += STEP_S
+        assert drive.time < 200
+    drive.solid[:, 79:81] = True
+    drive._middles = drive.grid.centre_of(np.argwhere(drive.solid))
+    drive.grid.log_odds[drive.solid & drive.grid.observed] = 6.0
+    drive.run()
+    assert drive.least > -0.035
+
+
+@pytest.mark.parametrize("turn", [0.0, 2.0])
+def test_a_robot_shut_in_on_all_sides_ends_where_it_is(turn):
+    solid = shut()
+    solid[10:32, 10:32] = True
+    solid[13:29, 13:29] = False  # 0.8 m wide
+    drive = Drive(solid, pose=(1.05, 1.05, turn)).run()
+    assert drive.way < 3
+    assert math.dist(drive.pose[:2], (1.05, 1.05)) < 0.15

@@ -1,0 +1,93 @@
+"""Frontiers: where the floor ends that is known, and the robot could go on."""
+
+import math
+
+import numpy as np
+import pytest
+
+from echogrid import Grid, Robot
+from echogrid.geometry import wrap
+from echogrid.grid import logit
+from echogrid.planning.clearance import Floor
+from echogrid.planning.frontiers import REACH_M, edges, look
+
+CELL = 0.05
+B21 = Robot.load("b21")
+
+
+def floor_of(p):
+    p = np.asarray(p, float)
+    grid = Grid(
+        np.where(np.isnan(p), 0, logit(np.nan_to_num(p, nan=0.5))).astype(np.float32), ~np.isnan(p), CELL, (0, 0)
+    )
+    return Floor.of(grid, B21.footprint_radius_m, rim_m=1.0, margin_m=0.0)
+
+
+def room(door=None, filled=np.nan):
+    """A room of 4 x 3 m with walls of two cells; a door of some width (m) to the right is filled with a value."""
+    p = np.full((60, 80), 0.05)
+    p[:2] = p[-2:] = 0.99
+    p[:, :2] = p[:, -2:] = 0.99
+    if door is not None:
+        half = round(door / CELL / 2)
+        p[30 - half : 30 + half, -2:] = filled
+    return p
+
+
+def found(p, sure=0.9):
+    floor = floor_of(p)
+    at = floor.cell((2.0, 1.5))
+    assert at is not None
+    return edges(floor, B21, at, sure).frontiers
+
+
+def test_a_room_that_is_shut_has_none():
+    assert found(room()) == []
+
+
+def test_a_door_is_one_and_a_crack_is_none():
+    for one in found(room(door=0.9)):
+        assert math.dist(one.place, (4.0, 1.5)) < 0.5
+        assert one.gain_m2 > 0.3
+    assert len(found(room(door=0.9))) >= 1
+    assert found(room(door=0.4)) == []
+
+
+def test_a_rim_that_is_not_known_is_none():
+    p = room()
+    p[2:4, 2:-2] = np.nan
+    p[2:8, 2:8] = np.nan  # and a corner that no sonar reaches
+    assert found(p) == []
+
+
+def test_what_is_occupied_but_not_surely_may_be_a_door():
+    assert len(found(room(door=0.9, filled=0.8), sure=0.9)) >= 1
+    assert found(room(door=0.9, filled=0.8), sure=0.65) == []
+
+
+def test_ground_behind_a_wall_is_none_however_much_there_is():
+    p = np.full((60, 160), np.nan)
+    p[:, :80] = room()
+    assert found(p) == []
+
+
+def test_what_is_seen_from_a_place():
+    nothing = np.full((200, 200), np.nan)
+    nothing[90:110, 90:110] = 0.05
+    floor = floor_of(nothing)
+    _, gain = look(floor, B21, np.array([5.0, 5.0]))
+    assert gain == pytest.approx(math.pi * REACH_M**2 - 1.0, rel=0.05)  # a disc, less what is known
+    nothing[:, 112:114] = 0.99  # half a metre to the right a wall
+    _, less = look(floor_of(nothing), B21, np.array([5.0, 5.0]))
+    apart, hidden = 0.6, math.acos(0.6 / REACH_M)
+    segment = REACH_M**2 * hidden - apart * math.sqrt(REACH_M**2 - apart**2)
+    assert gain - less == pytest.approx(segment, rel=0.1)
+
+
+def test_a_robot_with_eyes_to_one_side_is_turned_to_what_is_new():
+    ahead = Robot("fan", 0.2, B21.transducer, 0.2, 4.0, np.deg2rad(30), np.array([[0.1, 0, 0], [0.1, 0, 0.4]]))
+    p = np.full((100, 100), 0.05)
+    p[:, 70:] = np.nan
+    heading, gain = look(floor_of(p), ahead, np.array([2.5, 2.5]))
+    assert abs(wrap(heading + 0.2)) < 0.4  # the middle of its view to the right, where nothing is known
+    assert gain > 0.5
