@@ -1,0 +1,59 @@
+"""``echogrid explore``: a world in; a map, the drive that made it and its figures out."""
+
+import json
+
+import numpy as np
+import pytest
+
+from commands import MAP_FILES, assert_refused, put
+from echogrid import Robot, load_log, read_map, read_truth
+from echogrid.metrics import score
+
+
+def test_a_room_is_explored_and_all_of_it_written(run, place):
+    out = place / "explored"
+    status, said, noted = run("explore", "box.yaml", "--robot", "b21", "--seed", "2", "--out", out)
+    assert (status, noted) == (0, "")
+    assert {path.name for path in out.iterdir()} == {
+        *MAP_FILES, "map.html", "drive.csv", "drive.truth.npz", "explore.json"
+    }  # fmt: skip
+    told = json.loads((out / "explore.json").read_text())
+    assert told["seen"] >= 0.99
+    assert told["collisions"] == 0
+    assert told["home_m"] < 0.1
+    assert f"of the floor in reach by {told['way_m']:.1f} m, no collisions" in said
+    assert score(read_map(out), read_truth(out / "drive.truth.npz")).free > 0.9
+    # The log is that of the map: mapped again it gives the same one.
+    log = load_log(out / "drive.csv", Robot.load("b21"))
+    assert sum(1 for _ in log) * 0.04 == pytest.approx(told["time_s"], abs=0.1)
+    assert run("map", out / "drive.csv", "--robot", "b21", "--out", place / "again")[0] == 0
+    first, again = read_map(out), read_map(place / "again")
+    middles = first.centre_of(np.argwhere(first.observed))
+    assert np.mean(np.abs(first.probability_at(middles) - again.probability_at(middles)) < 0.1) > 0.95
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--start", "1"], "--start: found 1, expected X,Y,DEG"),
+        (["--start", "1,nan,0"], "--start: found 1,nan,0, expected"),
+        (["--start", "0.1,1,0"], "world box: start: found (0.10, 1.00) m, less than 0.36 m from a wall"),
+        (["--start", "9,1,0"], "world box: start: found (9.00, 1.00) m"),
+        (["--seed", "-1"], "--seed: found -1"),
+        (["--robot", "b22"], "robot: found b22"),
+        (["--physics.beam", "laser"], "--physics.beam: found laser"),
+        (["--out", "file"], "file: found a file, expected a folder"),
+        (["WORLD", "nowhere"], "world: found nowhere"),
+        (["WORLD", "hole.yaml"], "world hole: found a hole through which the robot gets out"),
+        (["WORLD", "cell.yaml"], "world cell: found no free space"),
+    ],
+)
+def test_what_cannot_be_is_one_line(run, place, arguments, line):
+    walls = "[[0, 0], [3, 0], [3, 2], [0, 2]]"
+    put(place / "hole.yaml", f"name: hole\nstart: [1, 1]\nwalls: [{{points: {walls}, roughness_mm: 1}}]\n")
+    put(place / "cell.yaml", "name: cell\nwalls: [{points: [[0, 0], [0.4, 0], [0.4, 0.4], [0, 0.4]], closed: true, "
+        "roughness_mm: 1}]\n")  # fmt: skip
+    given = dict(zip(arguments[::2], arguments[1::2], strict=True))
+    options = {"--robot": "b21", "--out": "way"} | {key: value for key, value in given.items() if key != "WORLD"}
+    words = [word for pair in options.items() for word in pair]
+    assert line in assert_refused(run, place, "explore", given.get("WORLD", "box.yaml"), *words)
