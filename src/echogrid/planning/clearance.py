@@ -35,9 +35,20 @@ class Floor:
     """Of the footprint, a disc."""
     margin_m: float = MARGIN_M
     """Kept besides from what is occupied."""
+    easy_m: float = EASY_M
+    """As EASY_M, of this robot."""
+    dear: float = DEAR
+    """As DEAR."""
 
     @staticmethod
-    def of(grid: Grid, radius_m: float, rim_m: float = 0.0, margin_m: float = MARGIN_M) -> "Floor":
+    def of(
+        grid: Grid,
+        radius_m: float,
+        rim_m: float = 0.0,
+        margin_m: float = MARGIN_M,
+        easy_m: float = EASY_M,
+        dear: float = DEAR,
+    ) -> "Floor":
         """The floor of a map.
 
         Args:
@@ -45,6 +56,8 @@ class Floor:
             radius_m: of the footprint.
             rim_m: how wide the rim of unknown cells is to be, at least.
             margin_m: kept besides from what is occupied.
+            easy_m: see ``Floor``.
+            dear: likewise.
 
         Raises:
             UsageError: the map has no cell that is known to be free, or too many cells.
@@ -56,9 +69,8 @@ class Floor:
             found = f"{part.log_odds.size} cells"
             raise UsageError(f"plan: found a map of {found}, expected at most {MOST_CELLS:.2g}; make them larger")
         rim = 1 + int(np.ceil(rim_m / grid.resolution))
-        return Floor(
-            part.part(np.array([-rim, -rim]), (part.shape[0] + 2 * rim, part.shape[1] + 2 * rim)), radius_m, margin_m
-        )
+        rimmed = part.part(np.array([-rim, -rim]), (part.shape[0] + 2 * rim, part.shape[1] + 2 * rim))
+        return Floor(rimmed, radius_m, margin_m, easy_m, dear)
 
     @cached_property
     def occupied(self) -> Bool[ndarray, "rows cols"]:
@@ -104,7 +116,7 @@ class Floor:
             unknown: whether the footprint may cover what is unknown, at UNKNOWN_COST a metre.
         """
         beside = np.minimum(self.gap_m - np.float32(self.body_m), self.known_m - np.float32(self.radius_m))
-        costs = 1 + np.float32(DEAR) * np.exp(-np.maximum(beside, 0) / np.float32(EASY_M))
+        costs = 1 + np.float32(self.dear) * np.exp(-np.maximum(beside, 0) / np.float32(self.easy_m))
         costs[self.known_m < self.radius_m] = UNKNOWN_COST if unknown else np.inf
         costs[self.gap_m < self.body_m] = np.inf
         return costs
