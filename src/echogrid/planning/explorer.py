@@ -60,7 +60,7 @@ STEP_OFF_M = 0.4
 """A robot that stands where it cannot be, by the map, looks so far around for a place to go to."""
 
 EASY_M, DEAR = 0.2, 3.0
-"""As those of the floor; who explores keeps farther off than who knows, for the ends of smooth walls are hardly heard:
+"""As those of the floor; who explores keeps farther off, for the ends of smooth walls are hardly heard:
 through a door it goes in the middle."""
 
 RIM_M = 0.6
