@@ -97,7 +97,7 @@ class Growing(Drive):
     def _unbend(self) -> None:
         """Begin anew with the heading bias that makes walls straightest, if it makes them much straighter."""
         poses = self.poses
-        bias = self._straight()
+        bias = self._bends()
         self.poses = poses
         if bias:
             self._bias += bias

@@ -13,9 +13,9 @@ from numpy import ndarray
 
 from echogrid.frame import Frame
 from echogrid.geometry import compose, inverse, wrap
-from echogrid.position import walls
+from echogrid.position import bends, walls
 from echogrid.position.graph import Edges, Solution, joined, residuals, solve
-from echogrid.position.matching import Match, Seen, Target, match, seen
+from echogrid.position.matching import Field, Match, Seen, Target, match, seen
 from echogrid.position.motion import PARAMETERS, Drift, chained, corrected, lengths, steps
 from echogrid.position.pieces import LocalMaps, pieces, spread_over
 from echogrid.robot import Robot
@@ -46,10 +46,6 @@ KERNEL = 4.0
 COMPASS_RAD, COMPASS_EVERY, COMPASS_HALF, COMPASS_SURE_RAD = np.deg2rad(2.5), 3, 5, np.deg2rad(12.0)
 """How exact the direction of walls is, how often it is taken, over how many pieces to each side, and how well the
 heading must be known, for a quarter turn must not be mistaken."""
-
-BENDS, BENDS_AT, STRAIGHTER = np.deg2rad(np.linspace(-5, 5, 21)), 30, 1.15
-"""Heading biases (rad/m) that are tried before all else, at how many places of the drive, and how much straighter
-the best of them has to make the walls."""
 
 POINTS, WIDE_POINTS = 900, 1500
 
@@ -131,7 +127,7 @@ class Drive:
         self._compass: float | None = None
         self._solution: Solution | None = None
         self._correct()
-        self._bias = self._straight()
+        self._bias = self._bends()
         self._step = corrected(self._step, np.array([0.0, self._bias, 0.0]))
         self._correct()
         self._information = self._odometry_information()
@@ -225,27 +221,10 @@ class Drive:
         variance[:2] += variance[2] * way**2 / 3
         return np.diag(variance)
 
-    def _straight(self) -> float:
-        """The heading bias (rad/m) with which the walls beside the drive are straightest, to begin with; 0 where none
-        makes them much straighter than they are.
-        """
-        half = COMPASS_HALF
-        windows = np.unique(np.linspace(half, self.count - 1 - half, BENDS_AT).astype(int))
-        if self.count <= 2 * half:
-            return 0.0
-        told = []
-        for bias in BENDS:
-            drive = chained(np.zeros(3), corrected(self._step, np.array([0.0, bias, 0.0])))
-            self.poses = drive[[piece.middle for piece in self.cut]]
-            told.append(
-                sum(
-                    walls.sharpest(np.concatenate([self._walls_from(m, k) for k in range(m - half, m + half + 1)]))[1]
-                    for m in windows.tolist()
-                )
-            )
-        self.poses = np.zeros((self.count, 3))
-        best = int(np.argmax(told))
-        return float(BENDS[best]) if told[best] > STRAIGHTER * told[len(BENDS) // 2] else 0.0
+    def _bends(self) -> float:
+        """The heading bias (rad/m) that odometry still has, by what was seen along the drive."""
+        points = [bends.points_of(self._own(k, True), self._rng) for k in range(self.count)]
+        return bends.heading_bias(self._step, self.cut, points)
 
     # Matches.
 
@@ -322,11 +301,14 @@ class Drive:
                 return
         self._headings[m] = heading
 
+    def _own(self, k: int, far: bool) -> Field:
+        """What a piece alone saw, in its own frame."""
+        return self._maps.of(range(k, k + 1), self.poses[k], self.poses, self.by_odometry, far)
+
     def _walls_from(self, m: int, k: int) -> Float[ndarray, "points 2"]:
         """Surface points of piece k as seen from piece m."""
         if k not in self._walls:
-            field = self._maps.of(range(k, k + 1), self.poses[k], self.poses, self.by_odometry, False)
-            self._walls[k] = walls.surface_points(field, self._rng)
+            self._walls[k] = walls.surface_points(self._own(k, False), self._rng)
         points = np.column_stack([self._walls[k], np.zeros(len(self._walls[k]))])
         return compose(compose(inverse(self.poses[m]), self.poses[k]), points)[:, :2]
 
