@@ -164,7 +164,8 @@ def match(
             at = int(np.argmax(agreed * sharpness + held))
             usual = _usual(told, at)
         new = usual[0] * told.surface_known + usual[1] * told.free_known
-        posterior = (agreed - FAIR * new) * sharpness + held
+        fair = FAIR if level >= levels - 2 else 0.0
+        posterior = (agreed - fair * new) * sharpness + held
         at = int(np.argmax(posterior))
         weight = np.exp(posterior - posterior[at])
         weight /= weight.sum()

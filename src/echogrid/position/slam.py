@@ -4,7 +4,7 @@ docs/position.md tells how it works and what it reaches.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +23,7 @@ from echogrid.robot import Robot
 BEFORE, ANCHOR = 12, 4
 """A piece is matched to the map of so many pieces before it, and its pose is told from the one so many before it."""
 
-CHAIN = np.array([6.0, 4.0, 10.0])
+CHAIN = np.array([15.0, 4.0, 10.0])
 """What the spread of such matches is multiplied with, along, across, heading: those that follow each other overlap
 and err alike, along a corridor and in heading above all."""
 
@@ -40,6 +40,9 @@ LOOP_SHARE, LOOP_AGREEMENT, LOOP_SURFACE, LOOP_SURFACE_SHARE = 0.5, 0.3, 0.1, 0.
 WIDE_M, WIDE_RAD = 0.25, np.deg2rad(6.0)
 """A guess that is spread farther is looked for with a longer piece of the drive."""
 
+DOUBTED = np.array([0.4, 0.4, np.deg2rad(6.0)])
+"""Standard deviations (m, m, rad) that a pose has besides, if a match where the graph has it fits badly."""
+
 KERNEL = 4.0
 """Standard deviations beyond which a match counts less."""
 
@@ -47,12 +50,18 @@ COMPASS_RAD, COMPASS_EVERY, COMPASS_HALF, COMPASS_SURE_RAD = np.deg2rad(2.5), 3,
 """How exact the direction of walls is, how often it is taken, over how many pieces to each side, and how well the
 heading must be known, for a quarter turn must not be mistaken."""
 
+RIGHT, LEAST_LOOPS, SURE = 2.4, 10, 1e-3
+"""Odometry is right if of so many loops or more the half asks for no more, as squares in standard deviations, than if
+it were true; then what is systematic in it has the last as its standard deviation."""
+
 POINTS, WIDE_POINTS = 900, 1500
 
 SOLVE_EVERY, SOLVE_ROUNDS = 2, 4
 
-TRUST_ROUNDS, LEAST_TRUST = 4, 0.05
-"""Odometry is believed to twice the error that it showed, step by step, but never to less than this of its drift."""
+AGAIN = 1
+
+TRUST_ROUNDS, TRUST_EDGES, LEAST_TRUST = 12, 100, 0.05
+"""Steps in which the error of odometry is found, from how many pieces, and the least of its drift that it has."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +100,8 @@ def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], o
         drive.place(k)
         if progress:
             progress(k + 1, drive.count)
+    for _ in range(AGAIN):
+        drive.again()
     drive.trust()
     poses = spread_over(drive.cut, drive.poses, drive.by_odometry)
     poses = compose(odometry[0], compose(inverse(poses[0]), poses))
@@ -109,17 +120,25 @@ class MatchEdge(NamedTuple):
     loop: bool
 
 
+def _fits(found: Match) -> bool:
+    return (
+        found.agreement >= LOOP_AGREEMENT
+        and found.surface_agreement >= LOOP_SURFACE
+        and found.surface_share >= LOOP_SURFACE_SHARE
+    )
+
+
 class Drive:
     """A drive whose pieces are placed one after the other; all that were placed before move with each."""
 
     def __init__(self, frames: Sequence[Frame], odometry: Float[ndarray, "frames 3"], robot: Robot):
-        self._step = steps(odometry)
+        self._step = self._told = steps(odometry)
         self.cut = pieces(self._step)
         self.count = len(self.cut)
         self.poses = np.zeros((self.count, 3))
         self.parameters = np.zeros(PARAMETERS)
         self.matches: list[MatchEdge] = []
-        self._drift, self._trust = Drift(), 1.0
+        self._drift, self._trust = Drift(), np.ones(3)
         self._rng = np.random.default_rng(0)
         self._maps = LocalMaps(frames, self.cut, robot)
         self._walls: dict[int, Float[ndarray, "points 2"]] = {}
@@ -143,26 +162,60 @@ class Drive:
         if k % SOLVE_EVERY == 0 or k == self.count - 1:
             self._solve(k + 1)
 
+    def again(self) -> None:
+        """Make all matches anew, with maps by what is known now of poses and odometry."""
+        if self._solution is None:
+            return
+        self.matches, self._walls = [], {}
+        for k in range(1, self.count):
+            self._follow(k)
+            if k % LOOP_EVERY == 0:
+                self._close_loops(k)
+        for m in range(0, self.count, COMPASS_EVERY):
+            self._look_along_walls(m)
+        self._solve(self.count, 20)
+
     @property
     def drift(self) -> Float[ndarray, "3"]:
         """What corrects the odometry."""
         return self.parameters + np.array([0.0, self._bias, 0.0])
 
     def trust(self) -> None:
-        """Believe odometry as far as it has proved right: where what is known of all places asks for little of the
-        error that it may have, it has little.
+        """Believe odometry as far as it has proved right (expectation maximisation): its errors along, across and in
+        heading are taken to be as large as what is known of all places says, with what that leaves open.
         """
-        for _ in range(TRUST_ROUNDS if self._solution is not None else 0):
-            pair = compose(inverse(self.poses[:-1]), self.poses[1:])
-            off = compose(inverse(self._measured), pair)
-            off[:, 2] = wrap(off[:, 2])
-            squares = np.einsum("ni,nij,nj->n", off, self._information, off)
-            share = 2 * float(np.sqrt(np.mean(squares) / 3))
-            if share >= 1 or self._trust <= LEAST_TRUST:
-                return
-            self._trust = max(self._trust * share, LEAST_TRUST)
+        if self._solution is None:
+            return
+        if self._right():
+            self._step, self._bias, self.parameters = self._told, 0.0, np.zeros(PARAMETERS)
+            self._trust = np.full(3, LEAST_TRUST)
+            self._drift = replace(self._drift, scale=SURE, bias=SURE, turning=SURE)
+            self._correct()
             self._information = self._odometry_information()
-            self._solve(self.count)
+            self._solve(self.count, 20)
+            return
+        some = np.unique(np.linspace(0, self.count - 2, TRUST_EDGES).astype(int))
+        for _ in range(TRUST_ROUNDS):
+            off = compose(inverse(self._measured[some]), compose(inverse(self.poses[some]), self.poses[some + 1]))
+            off[:, 2] = wrap(off[:, 2])
+            left = np.array([np.diag(self._relative(k, k + 1)) for k in some.tolist()])
+            squares = (off**2 + left) * self._information[some][:, [0, 1, 2], [0, 1, 2]]
+            share = np.sqrt(squares.mean(axis=0))
+            before, self._trust = self._trust, np.clip(self._trust * share, LEAST_TRUST, 1.0)
+            if np.allclose(self._trust, before, rtol=0.03):
+                return
+            self._information = self._odometry_information()
+            self._solve(self.count, 20)
+
+    def _right(self) -> bool:
+        """Whether the loops agree with the odometry as it was told."""
+        loops = [edge for edge in self.matches if edge.loop]
+        if len(loops) < LEAST_LOOPS:
+            return False
+        first, second, pose, information, _ = (np.array(each) for each in zip(*loops, strict=True))
+        told = chained(np.zeros(3), self._told)[[piece.middle for piece in self.cut]]
+        off = residuals(told, Edges(first, second, pose, information, np.full(len(loops), np.inf))).off
+        return bool(np.median(np.einsum("ni,nij,nj->n", off, information, off)) <= RIGHT)
 
     def edges(self, count: int) -> Edges:
         """What is known of the first so many pieces; a node behind them is the compass."""
@@ -267,27 +320,31 @@ class Drive:
                 self._close_loop(j, k, covariance)
 
     def _close_loop(self, j: int, k: int, covariance: Float[ndarray, "3 3"]) -> None:
+        """Match a piece to the map round another; more of the drive, and more widely, where the pose is less sure or
+        where what the graph says of it fits badly.
+        """
         spread = np.sqrt(np.diag(covariance))
         target = range(max(0, j - 8), min(j + 9, k - LOOP_GAP // 2))
-        if np.max(spread[:2]) > WIDE_M or spread[2] > WIDE_RAD:
-            count = int(np.clip(np.max(spread[:2]) / 0.03, 11, 25))
-            own = range(max(0, k - 8), k + 1)
-            found = self._match(k, own, j, target, covariance, WIDE_POINTS, levels=3, count=count)
-        else:
+        if np.max(spread[:2]) <= WIDE_M and spread[2] <= WIDE_RAD:
             found = self._match(k, range(max(0, k - 2), k + 1), j, target, covariance)
-        if found and (
-            found.share >= LOOP_SHARE
-            and found.agreement >= LOOP_AGREEMENT
-            and found.surface_agreement >= LOOP_SURFACE
-            and found.surface_share >= LOOP_SURFACE_SHARE
-        ):
+            if found is None or found.share < LOOP_SHARE:
+                return
+            if _fits(found):
+                self.matches.append(MatchEdge(j, k, found.pose, found.information, True))
+                return
+            covariance = covariance + np.diag(DOUBTED**2)
+            spread = np.sqrt(np.diag(covariance))
+        count = int(np.clip(np.max(spread[:2]) / 0.03, 11, 25))
+        own = range(max(0, k - 8), k + 1)
+        found = self._match(k, own, j, target, covariance, WIDE_POINTS, levels=3, count=count)
+        if found and found.share >= LOOP_SHARE and _fits(found):
             self.matches.append(MatchEdge(j, k, found.pose, found.information, True))
 
     # Headings by the direction of walls.
 
     def _look_along_walls(self, m: int) -> None:
         """Take the heading of a piece from the direction of the walls that it and its neighbours saw."""
-        around = range(m - COMPASS_HALF, m + COMPASS_HALF + 1)
+        around = range(max(m - COMPASS_HALF, 0), min(m + COMPASS_HALF + 1, self.count))
         angle = walls.direction(np.concatenate([self._walls_from(m, k) for k in around]))
         if angle is None:
             return
@@ -329,11 +386,11 @@ class Drive:
         """Pieces in the graph when it was last solved; the node behind them is the compass."""
         return len(self._solved.poses) - 1
 
-    def _solve(self, count: int) -> None:
+    def _solve(self, count: int, rounds: int = SOLVE_ROUNDS) -> None:
         """Bring all pieces that were placed to where all that is known of them agrees best."""
         spread = np.array([self._drift.scale, self._drift.bias, self._drift.turning])
         nodes = np.concatenate([self.poses[:count], np.zeros((1, 3))])
-        self._solution = solve(nodes, self.edges(count), self.parameters, spread, SOLVE_ROUNDS)
+        self._solution = solve(nodes, self.edges(count), self.parameters, spread, rounds)
         self.poses[:count] = self._solution.poses[:-1]
         self.parameters = self._solution.parameters
         self._correct()
