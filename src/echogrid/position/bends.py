@@ -63,8 +63,8 @@ def heading_bias(
     return float(weight @ BIASES / weight.sum())
 
 
-def _pairs(poses: Float[ndarray, "pieces 3"], points: Sequence[Float[ndarray, "points 2"]]) -> float:
-    """Pairs of points of different pieces that fall into one cell."""
+def _pairs(poses: Float[ndarray, "pieces 3"], points: Sequence[Float[ndarray, "points 2"]], alike: int = 1) -> float:
+    """Pairs of points that fall into one cell, of pieces that are not of the same so many after each other."""
     count = [len(own) for own in points]
     if not any(count):
         return 0.0
@@ -74,5 +74,17 @@ def _pairs(poses: Float[ndarray, "pieces 3"], points: Sequence[Float[ndarray, "p
     cell = np.floor(at / CELL_M).astype(np.int64)
     cell -= cell.min(axis=0)
     key = cell[:, 0] * (int(cell[:, 1].max()) + 1) + cell[:, 1]
-    both, own = (np.unique(each, return_counts=True)[1] for each in (key, key * len(points) + piece))
+    group = piece // alike
+    both, own = (np.unique(each, return_counts=True)[1] for each in (key, key * (group[-1] + 1) + group))
     return float(np.sum(both.astype(float) ** 2) - np.sum(own.astype(float) ** 2))
+
+
+def sharpness(poses: Float[ndarray, "pieces 3"], points: Sequence[Float[ndarray, "points 2"]], alike: int) -> float:
+    """How well what a drive saw at different times lies together: pairs of points of pieces that share a cell.
+
+    Args:
+        poses: of the pieces, m, m, rad.
+        points: surface points that each saw, in its own frame, m.
+        alike: pieces after each other whose points are not compared.
+    """
+    return _pairs(poses, points, alike)

@@ -128,6 +128,7 @@ def match(
     covariance: Float[ndarray, "3 3"],
     levels: int = 2,
     count: int = 11,
+    at_first: float = FAIR,
 ) -> Match | None:
     """Lay what was seen onto a map, round a guess.
 
@@ -142,6 +143,7 @@ def match(
         covariance: of the guess, in the map's frame.
         levels: of lattices.
         count: of poses along an axis of each.
+        at_first: in place of FAIR, on all but the last two levels.
 
     Returns:
         The match; None where hardly a surface was seen.
@@ -164,7 +166,7 @@ def match(
             at = int(np.argmax(agreed * sharpness + held))
             usual = _usual(told, at)
         new = usual[0] * told.surface_known + usual[1] * told.free_known
-        fair = FAIR if level >= levels - 2 else 0.0
+        fair = FAIR if level >= levels - 2 else at_first
         posterior = (agreed - fair * new) * sharpness + held
         at = int(np.argmax(posterior))
         weight = np.exp(posterior - posterior[at])

@@ -15,7 +15,7 @@ from echogrid.frame import Frame
 from echogrid.geometry import compose, inverse, wrap
 from echogrid.position import bends, walls
 from echogrid.position.graph import Edges, Solution, joined, residuals, solve
-from echogrid.position.matching import Field, Match, Seen, Target, match, seen
+from echogrid.position.matching import FAIR, Field, Match, Seen, Target, match, seen
 from echogrid.position.motion import PARAMETERS, Drift, chained, corrected, lengths, steps
 from echogrid.position.pieces import LocalMaps, pieces, spread_over
 from echogrid.robot import Robot
@@ -58,7 +58,9 @@ POINTS, WIDE_POINTS = 900, 1500
 
 SOLVE_EVERY, SOLVE_ROUNDS = 2, 4
 
-AGAIN = 1
+UNFAIR, UNSURE = 0.3, 0.1
+"""If more of the loops than the last were looked for widely, the drive is placed once more with this in place of
+``matching.FAIR`` for those, and what lies together best is kept."""
 
 TRUST_ROUNDS, TRUST_EDGES, LEAST_TRUST = 12, 100, 0.05
 """Steps in which the error of odometry is found, from how many pieces, and the least of its drift that it has."""
@@ -95,19 +97,26 @@ def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], o
     """
     frames = list(frames)
     odometry = np.array([frame.pose for frame in frames], dtype=float)
-    drive = Drive(frames, odometry, robot)
-    for k in range(1, drive.count):
-        drive.place(k)
-        if progress:
-            progress(k + 1, drive.count)
-    for _ in range(AGAIN):
-        drive.again()
+    drive = _placed(Drive(frames, odometry, robot), progress)
+    if drive.unsure:
+        other = _placed(Drive(frames, odometry, robot, UNFAIR), progress)
+        drive = max(drive, other, key=Drive.sharpness)
     drive.trust()
     poses = spread_over(drive.cut, drive.poses, drive.by_odometry)
     poses = compose(odometry[0], compose(inverse(poses[0]), poses))
     loops = [(edge.first, edge.second) for edge in drive.matches if edge.loop]
     nodes = np.array([piece.middle for piece in drive.cut])
     return Found(poses, odometry, nodes, drive.edges(drive.count), loops, drive.drift, {})
+
+
+def _placed(drive: "Drive", progress: Callable[[int, int], object] | None) -> "Drive":
+    """A drive with all of its pieces placed, twice: with what was known on the way, and with what is known at the end."""
+    for k in range(1, drive.count):
+        drive.place(k)
+        if progress:
+            progress(k + 1, drive.count)
+    drive.again()
+    return drive
 
 
 class MatchEdge(NamedTuple):
@@ -131,7 +140,8 @@ def _fits(found: Match) -> bool:
 class Drive:
     """A drive whose pieces are placed one after the other; all that were placed before move with each."""
 
-    def __init__(self, frames: Sequence[Frame], odometry: Float[ndarray, "frames 3"], robot: Robot):
+    def __init__(self, frames: Sequence[Frame], odometry: Float[ndarray, "frames 3"], robot: Robot, fair: float = FAIR):
+        self._fair, self._looked = fair, [0, 0]
         self._step = self._told = steps(odometry)
         self.cut = pieces(self._step)
         self.count = len(self.cut)
@@ -276,13 +286,22 @@ class Drive:
 
     def _bends(self) -> float:
         """The heading bias (rad/m) that odometry still has, by what was seen along the drive."""
-        points = [bends.points_of(self._own(k, True), self._rng) for k in range(self.count)]
-        return bends.heading_bias(self._step, self.cut, points)
+        self._points = [bends.points_of(self._own(k, True), self._rng) for k in range(self.count)]
+        return bends.heading_bias(self._step, self.cut, self._points)
+
+    @property
+    def unsure(self) -> bool:
+        """Whether many of the loops were looked for widely."""
+        return self._looked[1] > UNSURE * self._looked[0]
+
+    def sharpness(self) -> float:
+        """How well what was seen at different times lies together."""
+        return bends.sharpness(self.poses, self._points, LOOP_GAP)
 
     # Matches.
 
     def _match(
-        self, k: int, own: range, to: int, target: range, covariance: ndarray, points: int = POINTS, **lattice: int
+        self, k: int, own: range, to: int, target: range, covariance: ndarray, points: int = POINTS, **lattice: float
     ) -> Match | None:
         """Match what the pieces ``own`` saw from k to the map of the pieces ``target`` from ``to``."""
         what = self._seen(k, own, points, False)
@@ -323,6 +342,7 @@ class Drive:
         """Match a piece to the map round another; more of the drive, and more widely, where the pose is less sure or
         where what the graph says of it fits badly.
         """
+        self._looked[0] += 1
         spread = np.sqrt(np.diag(covariance))
         target = range(max(0, j - 8), min(j + 9, k - LOOP_GAP // 2))
         if np.max(spread[:2]) <= WIDE_M and spread[2] <= WIDE_RAD:
@@ -336,7 +356,8 @@ class Drive:
             spread = np.sqrt(np.diag(covariance))
         count = int(np.clip(np.max(spread[:2]) / 0.03, 11, 25))
         own = range(max(0, k - 8), k + 1)
-        found = self._match(k, own, j, target, covariance, WIDE_POINTS, levels=3, count=count)
+        self._looked[1] += 1
+        found = self._match(k, own, j, target, covariance, WIDE_POINTS, levels=3, count=count, at_first=self._fair)
         if found and found.share >= LOOP_SHARE and _fits(found):
             self.matches.append(MatchEdge(j, k, found.pose, found.information, True))
 
