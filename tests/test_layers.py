@@ -25,7 +25,7 @@ PLAN = {
     "paper_network paper_layers",
     "mapping": "registry intake mapper build",
     "position": "motion graph matching echoes walls pieces bends slam forgetting growing beside online remapping "
-    "odometry corrected particles beams sights usual localise",
+    "odometry corrected particles beams sights usual floor localiser localise",
     "planning": "clearance paths following frontiers explorer explore",
     "training": "drives gradient_descent paper_examples paper_training set_lessons map_lessons map_training "
     "set_training",

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from echogrid.output.map_file import read_map, read_truth, write_map
     from echogrid.planning.paths import NoPathError, Path, plan
     from echogrid.position.corrected import slam
-    from echogrid.position.localise import Localiser, localise
+    from echogrid.position.localise import localise
+    from echogrid.position.localiser import Localiser
     from echogrid.robot import Robot
     from echogrid.simulation.world import World
 
@@ -34,7 +35,7 @@ _HOME = {
     "EchogridError": "errors",
     "Frame": "frame",
     "Grid": "grid",
-    "Localiser": "position.localise",
+    "Localiser": "position.localiser",
     "Log": "frame",
     "Mapper": "mapping.mapper",
     "NoPathError": "planning.paths",

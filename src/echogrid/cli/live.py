@@ -148,7 +148,7 @@ class Live:
         if self.slam:
             raise UsageError("--slam, --map: found both, expected one of the two")
         from echogrid.output.map_file import read_map
-        from echogrid.position.localise import check_start
+        from echogrid.position.floor import check_start
 
         grid, start = read_map(self.map), None if self.start is None else start_pose(self.start)
         check_start(grid, start)

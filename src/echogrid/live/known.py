@@ -15,7 +15,7 @@ from echogrid.grid import Grid
 from echogrid.live.placing import Correction, Placing, RobotPose
 from echogrid.live.sonar_array import SonarArray
 from echogrid.position.beside import Beside
-from echogrid.position.localise import Event, Localiser
+from echogrid.position.localiser import Event, Localiser
 from echogrid.robot import Robot
 
 MOST_WAITING = 2_000

@@ -110,7 +110,7 @@ def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], o
 
 
 def _placed(drive: "Drive", progress: Callable[[int, int], object] | None) -> "Drive":
-    """A drive with all of its pieces placed, twice: with what was known on the way, and with what is known at the end."""
+    """A drive whose pieces were placed with what was known on the way, then with what is known at the end."""
     for k in range(1, drive.count):
         drive.place(k)
         if progress:
@@ -140,7 +140,17 @@ def _fits(found: Match) -> bool:
 class Drive:
     """A drive whose pieces are placed one after the other; all that were placed before move with each."""
 
-    def __init__(self, frames: Sequence[Frame], odometry: Float[ndarray, "frames 3"], robot: Robot, fair: float = FAIR):
+    def __init__(
+        self, frames: Sequence[Frame], odometry: Float[ndarray, "frames 3"], robot: Robot, fair: float = FAIR
+    ):
+        """A drive of which no piece is placed but the first.
+
+        Args:
+            frames: of the drive.
+            odometry: their poses by odometry, m, m, rad.
+            robot: that drove.
+            fair: what new ground counts in loops that are looked for widely, see ``matching.FAIR``.
+        """
         self._fair, self._looked = fair, [0, 0]
         self._step = self._told = steps(odometry)
         self.cut = pieces(self._step)
