@@ -38,7 +38,7 @@ def points_of(field: Field, rng: np.random.Generator) -> Float[ndarray, "points 
 
 
 def heading_bias(
-    step: Float[ndarray, "steps 3"], cut: Sequence[Piece], points: Sequence[Float[ndarray, "points 2"]]
+    step: Float[ndarray, "steps 3"], cut: Sequence[Piece], points: Sequence[Float[ndarray, "_ 2"]]
 ) -> float:
     """The heading bias of odometry, rad/m, that makes surface points of different pieces fall together most often.
 
@@ -63,7 +63,7 @@ def heading_bias(
     return float(weight @ BIASES / weight.sum())
 
 
-def _pairs(poses: Float[ndarray, "pieces 3"], points: Sequence[Float[ndarray, "points 2"]], alike: int = 1) -> float:
+def _pairs(poses: Float[ndarray, "pieces 3"], points: Sequence[Float[ndarray, "_ 2"]], alike: int = 1) -> float:
     """Pairs of points that fall into one cell, of pieces that are not of the same so many after each other."""
     count = [len(own) for own in points]
     if not any(count):
@@ -79,7 +79,7 @@ def _pairs(poses: Float[ndarray, "pieces 3"], points: Sequence[Float[ndarray, "p
     return float(np.sum(both.astype(float) ** 2) - np.sum(own.astype(float) ** 2))
 
 
-def sharpness(poses: Float[ndarray, "pieces 3"], points: Sequence[Float[ndarray, "points 2"]], alike: int) -> float:
+def sharpness(poses: Float[ndarray, "pieces 3"], points: Sequence[Float[ndarray, "_ 2"]], alike: int) -> float:
     """How well what a drive saw at different times lies together: pairs of points of pieces that share a cell.
 
     Args:

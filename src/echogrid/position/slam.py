@@ -58,9 +58,10 @@ POINTS, WIDE_POINTS = 900, 1500
 
 SOLVE_EVERY, SOLVE_ROUNDS = 2, 4
 
-UNFAIR, UNSURE = 0.3, 0.1
+UNFAIR, UNSURE = 0.0, 0.25
 """If more of the loops than the last were looked for widely, the drive is placed once more with this in place of
-``matching.FAIR`` for those, and what lies together best is kept."""
+``matching.FAIR`` for those, all matches of both are made again with what is known at the end, and the drive is kept
+whose places lie together best."""
 
 TRUST_ROUNDS, TRUST_EDGES, LEAST_TRUST = 12, 100, 0.05
 """Steps in which the error of odometry is found, from how many pieces, and the least of its drift that it has."""
@@ -100,6 +101,8 @@ def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], o
     drive = _placed(Drive(frames, odometry, robot), progress)
     if drive.unsure:
         other = _placed(Drive(frames, odometry, robot, UNFAIR), progress)
+        for each in (drive, other):
+            each.again()
         drive = max(drive, other, key=Drive.sharpness)
     drive.trust()
     poses = spread_over(drive.cut, drive.poses, drive.by_odometry)
@@ -110,12 +113,11 @@ def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], o
 
 
 def _placed(drive: "Drive", progress: Callable[[int, int], object] | None) -> "Drive":
-    """A drive whose pieces were placed with what was known on the way, then with what is known at the end."""
+    """A drive with all of its pieces placed."""
     for k in range(1, drive.count):
         drive.place(k)
         if progress:
             progress(k + 1, drive.count)
-    drive.again()
     return drive
 
 
