@@ -23,7 +23,7 @@ from echogrid.robot import Robot
 BEFORE, ANCHOR = 12, 4
 """A piece is matched to the map of so many pieces before it, and its pose is told from the one so many before it."""
 
-CHAIN = np.array([15.0, 4.0, 10.0])
+CHAIN = np.array([7.0, 4.0, 10.0])
 """What the spread of such matches is multiplied with, along, across, heading: those that follow each other overlap
 and err alike, along a corridor and in heading above all."""
 
