@@ -313,7 +313,15 @@ class Drive:
     # Matches.
 
     def _match(
-        self, k: int, own: range, to: int, target: range, covariance: ndarray, points: int = POINTS, **lattice: float
+        self,
+        k: int,
+        own: range,
+        to: int,
+        target: range,
+        covariance: ndarray,
+        points: int = POINTS,
+        at_first: float = FAIR,
+        **lattice: int,
     ) -> Match | None:
         """Match what the pieces ``own`` saw from k to the map of the pieces ``target`` from ``to``."""
         what = self._seen(k, own, points, False)
@@ -324,7 +332,7 @@ class Drive:
             return None
         field = self._maps.of(target, self.poses[to], self.poses, self.by_odometry, far)
         guess = compose(inverse(self.poses[to]), self.poses[k])
-        return match(Target(field), what, guess, covariance, **lattice)
+        return match(Target(field), what, guess, covariance, at_first=at_first, **lattice)
 
     def _seen(self, k: int, own: range, points: int, far: bool) -> Seen:
         return seen(self._maps.of(own, self.poses[k], self.poses, self.by_odometry, far), points, self._rng)
