@@ -104,3 +104,13 @@ def test_mapping_begins_later_where_something_is_doubtful(drive, doubtful):
             drive.take(Heard.RANGE, "/other", range_of(START_S - 500.0, "other", 1.0))
         drive.step()
     assert not any(notice.startswith("mapping in") for notice in drive.notices)
+
+
+def test_a_frame_to_map_in_that_comes_soon_is_mapped_in(drive):
+    drive.run(10)
+    assert drive.notices[-1].startswith("mapping in odom")
+    drive.take(Heard.TF, "/tf", tf(transform(START_S + drive.time, "map", "odom", 5.0, 0.0, 0.0)))
+    drive.run(40)
+    assert drive.notices[1] == "there is map now: the map begins anew in it, not in odom"
+    assert drive.notices[2].startswith("mapping in map")
+    assert drive.frames[-1].pose[0] > 5

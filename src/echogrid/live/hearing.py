@@ -157,6 +157,10 @@ class Hearing:
         while self._waiting:
             self._hand_on(array, *self._waiting.popleft())
 
+    def halt(self) -> None:
+        """Hand readings on to no array any more; they wait for the next."""
+        self._array = None
+
     def _hand_on(self, array: SonarArray, frame: str, stamp: float, range_m: float) -> None:
         if frame not in array.numbers:
             self._refused["a reading of a sonar that is new, or whose place is not known"] += 1

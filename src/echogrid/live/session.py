@@ -54,7 +54,7 @@ class Live:
         self._said: set[str] = set()
         self._hearing = Hearing(self._refused)
         self._map: LiveMap | None = None
-        self._begin_due = self._check_due = self._rebuilt = -inf
+        self._begin_due = self._check_due = self._rebuilt = self._began = -inf
         self._rebuild_due = self._judge_due = inf
         self._known_due = settings.known is not None
         self._telling = Telling()
@@ -106,6 +106,7 @@ class Live:
         if self._map is None and now >= self._begin_due and hearing.settled(now):
             self._begin_due = now + SOON_S
             self._settle()
+            self._began = now
         yield from self._known()
         if self._map is not None:
             self._be_put(self._map)
@@ -123,6 +124,7 @@ class Live:
         hearing.bring_together()
         if self._map is not None:
             self._watch(self._map.array, now)
+        if self._map is not None:
             self._admit(self._map, now)
             self._judge_due = min(self._judge_due, now + JUDGE_S)
         hearing.tidy()
@@ -253,7 +255,7 @@ class Live:
         return mounts
 
     def _watch(self, array: SonarArray, now: float) -> None:
-        """Tell of sonars that went silent, of those that came back, and of a better frame to map in."""
+        """Tell of sonars that went silent and of those that came back; begin in a better frame, or tell of it."""
         transforms = self._hearing.transforms
         array.look_up(transforms)
         fixed = fixed_of(transforms, array.base)
@@ -262,6 +264,13 @@ class Live:
                 frame = self.settings.map_frame
                 self._say_once([f"{array.fixed} is told in {frame} by another program as well: stop it"])
         elif fixed not in (None, array.fixed) and self.settings.choice.fixed is None:
+            if (
+                now - self._began <= SETTLE_S + CHECK_S
+            ):  # whoever tells it began a little later: hardly anything is lost
+                self._map = None
+                self._hearing.halt()
+                self._notices.append(f"there is {fixed} now: the map begins anew in it, not in {array.fixed}")
+                return
             self._say_once([f"there is {fixed} now; to map in it rather than in {array.fixed}, start again"])
         self._notices += array.watch(gone=now - self._hearing.last_range > GONE_S)
 
