@@ -3,7 +3,7 @@
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, override
 
 import numpy as np
 from jaxtyping import Float
@@ -11,10 +11,11 @@ from numpy import ndarray
 
 from echogrid.frame import Frame
 from echogrid.geometry import compose, wrap
+from echogrid.position import walls
 from echogrid.position.forgetting import chained_variance, handed_on, to_forget
 from echogrid.position.motion import chained, corrected, steps
 from echogrid.position.pieces import LocalMaps, Piece, spread_over
-from echogrid.position.slam import Drive, MatchEdge
+from echogrid.position.slam import COMPASS_HALF, Drive, MatchEdge
 from echogrid.robot import Robot
 
 MOST_PIECES, FORGOTTEN = 1500, 150
@@ -24,7 +25,12 @@ JUMPED = np.array([0.2, 0.2, 0.3])
 """Standard deviations (m, m, rad) of a way on which the odometry jumped: the robot may have moved meanwhile."""
 
 BENT_AT = (16, 32)
-"""Pieces after which the heading bias is looked for by how straight it makes the walls."""
+"""Pieces after which the heading bias is looked for by how straight it makes the walls: of so short a drive that
+tells more than ``bends`` does."""
+
+BENDS, BENDS_AT, STRAIGHTER = np.deg2rad(np.linspace(-5, 5, 21)), 30, 1.15
+"""Heading biases (rad/m) that are tried before all else, at how many places of the drive, and how much straighter
+the best of them has to make the walls."""
 
 
 class Graph(NamedTuple):
@@ -156,6 +162,29 @@ class Growing(Drive):
                 key = number[first], number[second]
                 found[*key, edge.loop] = MatchEdge(*key, pose, information, edge.loop)
         return list(found.values())
+
+    @override
+    def _bends(self) -> float:
+        """The heading bias (rad/m) with which the walls beside the drive are straightest, to begin with; 0 where none
+        makes them much straighter than they are.
+        """
+        half = COMPASS_HALF
+        windows = np.unique(np.linspace(half, self.count - 1 - half, BENDS_AT).astype(int))
+        if self.count <= 2 * half:
+            return 0.0
+        told = []
+        for bias in BENDS:
+            drive = chained(np.zeros(3), corrected(self._step, np.array([0.0, bias, 0.0])))
+            self.poses = drive[[piece.middle for piece in self.cut]]
+            told.append(
+                sum(
+                    walls.sharpest(np.concatenate([self._walls_from(m, k) for k in range(m - half, m + half + 1)]))[1]
+                    for m in windows.tolist()
+                )
+            )
+        self.poses = np.zeros((self.count, 3))
+        best = int(np.argmax(told))
+        return float(BENDS[best]) if told[best] > STRAIGHTER * told[len(BENDS) // 2] else 0.0
 
     def graph(self) -> Graph:
         """As it is now, in the frame of the odometry's first poses."""
