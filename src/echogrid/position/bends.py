@@ -7,7 +7,6 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.geometry import compose, inverse
-from echogrid.position.matching import Field
 from echogrid.position.motion import chained, corrected
 from echogrid.position.pieces import Piece
 
@@ -27,14 +26,7 @@ CELL_M = 0.12
 """Points in the same cell lie together."""
 
 MOST_POINTS = 100
-
-
-def points_of(field: Field, rng: np.random.Generator) -> Float[ndarray, "points 2"]:
-    """Middles (m) of some cells of a local map that hold a surface."""
-    index = np.argwhere(field.b > 0.3)
-    if len(index) > MOST_POINTS:
-        index = index[rng.choice(len(index), MOST_POINTS, replace=False)]
-    return (index[:, ::-1] + 0.5) * field.cell_m + field.origin
+"""That each piece is to bring at most."""
 
 
 def heading_bias(
@@ -55,7 +47,7 @@ def heading_bias(
     pairs = np.zeros(len(BIASES))
     for i, bias in enumerate(BIASES):
         poses = chained(np.zeros(3), corrected(step, np.array([0.0, bias, 0.0])))[middles]
-        pairs[i] = sum(_pairs(poses[m : m + WINDOW], points[m : m + WINDOW]) for m in begins)
+        pairs[i] = sum(sharpness(poses[m : m + WINDOW], points[m : m + WINDOW]) for m in begins)
     if not pairs.any():
         return 0.0
     held = WORTH * pairs / pairs.max() - 0.5 * (BIASES / USUAL) ** 2
@@ -63,8 +55,14 @@ def heading_bias(
     return float(weight @ BIASES / weight.sum())
 
 
-def _pairs(poses: Float[ndarray, "pieces 3"], points: Sequence[Float[ndarray, "_ 2"]], alike: int = 1) -> float:
-    """Pairs of points that fall into one cell, of pieces that are not of the same so many after each other."""
+def sharpness(poses: Float[ndarray, "pieces 3"], points: Sequence[Float[ndarray, "_ 2"]], alike: int = 1) -> float:
+    """How well what was seen lies together: pairs of points of different pieces that share a cell.
+
+    Args:
+        poses: of the pieces, m, m, rad.
+        points: surface points that each saw, in its own frame, m.
+        alike: of so many pieces after each other the points are not compared.
+    """
     count = [len(own) for own in points]
     if not any(count):
         return 0.0
@@ -77,14 +75,3 @@ def _pairs(poses: Float[ndarray, "pieces 3"], points: Sequence[Float[ndarray, "_
     group = piece // alike
     both, own = (np.unique(each, return_counts=True)[1] for each in (key, key * (group[-1] + 1) + group))
     return float(np.sum(both.astype(float) ** 2) - np.sum(own.astype(float) ** 2))
-
-
-def sharpness(poses: Float[ndarray, "pieces 3"], points: Sequence[Float[ndarray, "_ 2"]], alike: int) -> float:
-    """How well what a drive saw at different times lies together: pairs of points of pieces that share a cell.
-
-    Args:
-        poses: of the pieces, m, m, rad.
-        points: surface points that each saw, in its own frame, m.
-        alike: pieces after each other whose points are not compared.
-    """
-    return _pairs(poses, points, alike)

@@ -75,6 +75,11 @@ def _turned_back(angle: Float[ndarray, "n"]) -> Float[ndarray, "n 2 2"]:
     return np.moveaxis(np.array([[cos, sin], [-sin, cos]]), -1, 0)
 
 
+def chi2(off: Float[ndarray, "edges 3"], information: Float[ndarray, "edges 3 3"]) -> Float[ndarray, "edges"]:
+    """Squares of how far edges are off (m, m, rad), in standard deviations."""
+    return np.einsum("ni,nij,nj->n", off, information, off)
+
+
 def counted(chi2: Float[ndarray, "edges"], width: Float[ndarray, "edges"]) -> Float[ndarray, "edges"]:
     """What edges count, by the squares of how far they are off (dynamic covariance scaling, Agarwal et al. 2013)."""
     with np.errstate(invalid="ignore"):
@@ -180,9 +185,9 @@ class _System:
     def at(self, poses: Float[ndarray, "nodes 3"], parameters: Float[ndarray, "parameters"]) -> _Point:
         measured = self._edges.measured + self._by @ (parameters - self._given)
         found = residuals(poses, self._edges, measured)
-        chi2 = np.einsum("ni,nij,nj->n", found.off, self._edges.information, found.off)
-        cost = _cost(chi2, self._edges.width) + float(np.sum((parameters / self._spread) ** 2))
-        return _Point(poses, parameters, found, chi2, cost)
+        squares = chi2(found.off, self._edges.information)
+        cost = _cost(squares, self._edges.width) + float(np.sum((parameters / self._spread) ** 2))
+        return _Point(poses, parameters, found, squares, cost)
 
     def equations(self, point: _Point) -> tuple[csc_matrix, Float[ndarray, "size"]]:
         """Half the second derivatives of the cost (of Gauss and Newton), and half the first."""

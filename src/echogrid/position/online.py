@@ -18,14 +18,11 @@ from echogrid.mapping.intake import check_robot, cleaned, fitting
 from echogrid.position.beside import Beside
 from echogrid.position.growing import Graph, Growing, grown, wrapped
 from echogrid.position.motion import chained, corrected, jumped, lengths, steps
-from echogrid.position.pieces import PIECE_M, PIECE_RAD
+from echogrid.position.pieces import LEAST_FRAMES, PIECE_M, PIECE_RAD
 from echogrid.robot import Robot
 
 STOOD_M, STOOD_RAD, STOOD = 0.02, np.deg2rad(1.0), 30
 """A robot that got no farther stands; so many scans are kept of the place."""
-
-LEAST_FRAMES = 3
-"""Scans that a piece has at least."""
 
 MOST_JUMPS = 1000
 """Of the odometry that are remembered."""

@@ -21,7 +21,8 @@ from echogrid.robot import Robot
 PIECE_M, PIECE_RAD = 0.5, 1.0
 """A piece ends after so much way, or so much turning, or a part of each."""
 
-_LEAST_FRAMES = 3
+LEAST_FRAMES = 3
+"""Scans that a piece has at least."""
 
 
 class Piece(NamedTuple):
@@ -38,7 +39,7 @@ def pieces(step: Float[ndarray, "steps 3"]) -> list[Piece]:
     amount = np.concatenate([[0.0], np.cumsum(np.abs(way) / PIECE_M + turn / PIECE_RAD)])
     cut = np.unique(np.searchsorted(amount, np.arange(0, amount[-1] + 1)))
     cut = np.append(cut[cut < len(amount)], len(amount))
-    if len(cut) > 2 and cut[-1] - cut[-2] < _LEAST_FRAMES:
+    if len(cut) > 2 and cut[-1] - cut[-2] < LEAST_FRAMES:
         cut = np.delete(cut, -2)
     return [Piece(a, b, (a + b) // 2) for a, b in pairwise(cut.tolist())]
 
@@ -67,13 +68,34 @@ class LocalMaps:
             drive: poses of all frames by odometry alone, for the way within a piece.
             far: whether the echoes beyond the network's reach are told as well.
         """
-        frames = self._frames[self._cut[pieces.start].first : self._cut[pieces.stop - 1].end]
-        at = compose(inverse(seen_from), np.concatenate([self._within(k, poses, drive) for k in pieces]))
+        frames, at = self._posed(pieces, seen_from, poses, drive)
         mapper = Mapper(self._robot, self._model)
         mapper.add([Frame(f.stamp, pose, f.ranges, None, f.mounts) for f, pose in zip(frames, at, strict=True)])
         grid = mapper.grid()
         field = Field(np.where(grid.observed, 2 * sigmoid(grid.log_odds) - 1, 0.0), grid.origin, grid.resolution)
         return with_far_echoes(field, frames, at, self._robot) if far else field
+
+    def farther(
+        self,
+        field: Field,
+        pieces: range,
+        seen_from: Float[ndarray, "3"],
+        poses: Float[ndarray, "pieces 3"],
+        drive: Float[ndarray, "frames 3"],
+    ) -> Field:
+        """What ``of`` told of some pieces, and their far echoes besides; arguments as there."""
+        return with_far_echoes(field, *self._posed(pieces, seen_from, poses, drive), self._robot)
+
+    def _posed(
+        self,
+        pieces: range,
+        seen_from: Float[ndarray, "3"],
+        poses: Float[ndarray, "pieces 3"],
+        drive: Float[ndarray, "frames 3"],
+    ) -> tuple[Sequence[Frame], Float[ndarray, "own 3"]]:
+        """The frames of some pieces, and where they are as seen from a pose."""
+        frames = self._frames[self._cut[pieces.start].first : self._cut[pieces.stop - 1].end]
+        return frames, compose(inverse(seen_from), np.concatenate([self._within(k, poses, drive) for k in pieces]))
 
     def _within(
         self, k: int, poses: Float[ndarray, "pieces 3"], drive: Float[ndarray, "frames 3"]

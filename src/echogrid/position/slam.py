@@ -14,8 +14,8 @@ from numpy import ndarray
 from echogrid.frame import Frame
 from echogrid.geometry import compose, inverse, wrap
 from echogrid.position import bends, walls
-from echogrid.position.graph import Edges, Solution, joined, residuals, solve
-from echogrid.position.matching import FAIR, Field, Match, Seen, Target, match, seen
+from echogrid.position.graph import Edges, Solution, chi2, joined, residuals, solve
+from echogrid.position.matching import FAIR, Field, Match, Target, match, seen
 from echogrid.position.motion import PARAMETERS, Drift, chained, corrected, lengths, steps
 from echogrid.position.pieces import LocalMaps, pieces, spread_over
 from echogrid.robot import Robot
@@ -131,6 +131,12 @@ class MatchEdge(NamedTuple):
     loop: bool
 
 
+def _edges_of(matches: Sequence[MatchEdge]) -> Edges:
+    """Matches, at least one, with their robust kernel."""
+    first, second, pose, information, _ = (np.array(each) for each in zip(*matches, strict=True))
+    return Edges(first, second, pose, information, np.full(len(matches), KERNEL))
+
+
 def _fits(found: Match) -> bool:
     return (
         found.agreement >= LOOP_AGREEMENT
@@ -218,7 +224,7 @@ class Drive:
             return
         some = np.unique(np.linspace(0, self.count - 2, TRUST_EDGES).astype(int))
         for _ in range(TRUST_ROUNDS):
-            off = compose(inverse(self._measured[some]), compose(inverse(self.poses[some]), self.poses[some + 1]))
+            off = compose(inverse(self._measured[some]), steps(self.poses)[some])
             off[:, 2] = wrap(off[:, 2])
             left = np.array([np.diag(self._relative(k, k + 1)) for k in some.tolist()])
             squares = (off**2 + left) * self._information[some][:, [0, 1, 2], [0, 1, 2]]
@@ -234,19 +240,16 @@ class Drive:
         loops = [edge for edge in self.matches if edge.loop]
         if len(loops) < LEAST_LOOPS:
             return False
-        first, second, pose, information, _ = (np.array(each) for each in zip(*loops, strict=True))
         told = chained(np.zeros(3), self._told)[[piece.middle for piece in self.cut]]
-        off = residuals(told, Edges(first, second, pose, information, np.full(len(loops), np.inf))).off
-        return bool(np.median(np.einsum("ni,nij,nj->n", off, information, off)) <= RIGHT)
+        edges = _edges_of(loops)
+        return bool(np.median(chi2(residuals(told, edges).off, edges.information)) <= RIGHT)
 
     def edges(self, count: int) -> Edges:
         """What is known of the first so many pieces; a node behind them is the compass."""
         odometry = self._odometry_edges(count - 1)
         parts = [odometry]
         if self.matches:
-            first, second, pose, information, _ = zip(*self.matches, strict=True)
-            width = np.full(len(first), KERNEL)
-            parts.append(Edges(np.array(first), np.array(second), np.array(pose), np.array(information), width))
+            parts.append(_edges_of(self.matches))
         if self._headings:
             information = np.zeros((len(self._headings), 3, 3))
             information[:, 2, 2] = COMPASS_RAD**-2
@@ -276,7 +279,7 @@ class Drive:
     def _between(self, parameters: ndarray) -> tuple[Float[ndarray, "pairs 3"], Float[ndarray, "frames 3"]]:
         drive = chained(np.zeros(3), corrected(self._step, parameters))
         at = drive[[piece.middle for piece in self.cut]]
-        return compose(inverse(at[:-1]), at[1:]), drive
+        return steps(at), drive
 
     def _odometry_information(self) -> Float[ndarray, "pairs 3 3"]:
         drift, middle = self._drift, np.array([piece.middle for piece in self.cut])
@@ -298,7 +301,9 @@ class Drive:
 
     def _bends(self) -> float:
         """The heading bias (rad/m) that odometry still has, by what was seen along the drive."""
-        self._points = [bends.points_of(self._own(k, True), self._rng) for k in range(self.count)]
+        self._points = [
+            walls.surface_points(self._own(k, True), bends.MOST_POINTS, self._rng) for k in range(self.count)
+        ]
         return bends.heading_bias(self._step, self.cut, self._points)
 
     @property
@@ -324,18 +329,18 @@ class Drive:
         **lattice: int,
     ) -> Match | None:
         """Match what the pieces ``own`` saw from k to the map of the pieces ``target`` from ``to``."""
-        what = self._seen(k, own, points, False)
+        near = self._maps.of(own, self.poses[k], self.poses, self.by_odometry, False)
+        what = seen(near, points, self._rng)
         # Where little is near the echoes from far off are all that there is.
         far = what.strength < 0.5
-        what = self._seen(k, own, points, True) if far else what
+        if far:
+            farther = self._maps.farther(near, own, self.poses[k], self.poses, self.by_odometry)
+            what = seen(farther, points, self._rng)
         if what.strength < 0.05:
             return None
         field = self._maps.of(target, self.poses[to], self.poses, self.by_odometry, far)
         guess = compose(inverse(self.poses[to]), self.poses[k])
         return match(Target(field), what, guess, covariance, at_first=at_first, **lattice)
-
-    def _seen(self, k: int, own: range, points: int, far: bool) -> Seen:
-        return seen(self._maps.of(own, self.poses[k], self.poses, self.by_odometry, far), points, self._rng)
 
     def _follow(self, k: int) -> None:
         """Match a piece to the map of those before it."""
@@ -406,7 +411,7 @@ class Drive:
     def _walls_from(self, m: int, k: int) -> Float[ndarray, "points 2"]:
         """Surface points of piece k as seen from piece m."""
         if k not in self._walls:
-            self._walls[k] = walls.surface_points(self._own(k, False), self._rng)
+            self._walls[k] = walls.surface_points(self._own(k, False), walls.MOST_POINTS, self._rng)
         points = np.column_stack([self._walls[k], np.zeros(len(self._walls[k]))])
         return compose(compose(inverse(self.poses[m]), self.poses[k]), points)[:, :2]
 

@@ -10,18 +10,18 @@ DISTINCT = 0.75
 """How far the best direction must stand out of the others; less is no direction."""
 
 LEAST_POINTS, MOST_POINTS = 100, 80
-"""Surface points that a direction needs, and those that each piece brings at most."""
+"""Surface points that a direction needs, and those that each piece is to bring at most."""
 
 BIN_M = 0.08
 STEP_RAD = np.deg2rad(1.5)
 QUARTER = np.pi / 2
 
 
-def surface_points(field: Field, rng: np.random.Generator) -> Float[ndarray, "points 2"]:
-    """Middles (m) of some cells of a local map that hold a surface."""
+def surface_points(field: Field, most: int, rng: np.random.Generator) -> Float[ndarray, "points 2"]:
+    """Middles (m) of at most so many cells of a local map that hold a surface."""
     index = np.argwhere(field.b > 0.3)
-    if len(index) > MOST_POINTS:
-        index = index[rng.choice(len(index), MOST_POINTS, replace=False)]
+    if len(index) > most:
+        index = index[rng.choice(len(index), most, replace=False)]
     return (index[:, ::-1] + 0.5) * field.cell_m + field.origin
 
 
