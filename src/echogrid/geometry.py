@@ -14,6 +14,11 @@ def wrap(angle: Float[ndarray, "*n"] | float) -> Float[ndarray, "*n"]:
     return np.asarray((np.asarray(angle, dtype=float) + np.pi) % (2 * np.pi) - np.pi)
 
 
+def wrapped(poses: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
+    """Poses (m, m, rad) whose headings lie in [-pi, pi)."""
+    return np.column_stack([poses[:, :2], wrap(poses[:, 2])])
+
+
 def transform(T_a_b: Float[ndarray, "*#n 3"], p_b: Float[ndarray, "*#n 2"]) -> Float[ndarray, "*n 2"]:
     """Map points (m) of frame b to frame a by the pose of b in a."""
     cos, sin = np.cos(T_a_b[..., 2]), np.sin(T_a_b[..., 2])

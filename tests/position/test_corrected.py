@@ -145,7 +145,7 @@ def laps(gap_m, loops):
     nodes = np.column_stack([x, np.where(np.arange(80) < 40, 0.0, gap_m), np.zeros(80)])
     none = np.zeros(0, dtype=int)
     edges = Edges(none, none, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0))
-    return Found(nodes, nodes, np.arange(80), edges, loops, np.zeros(3), {})
+    return Found(nodes, nodes, np.arange(80), edges, loops, np.zeros(3))
 
 
 def test_laps_beside_each_other_that_no_loop_ties_are_told():

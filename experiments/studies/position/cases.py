@@ -14,7 +14,7 @@ from numpy import ndarray
 from echogrid import Frame, Log, Robot, load_log
 from echogrid.errors import InputError
 from echogrid.files import read_text
-from echogrid.geometry import wrap
+from echogrid.geometry import wrapped
 from echogrid.logs.csv_log import write_csv
 from echogrid.output.trajectory import read_tum, write_tum
 from echogrid.robot import robot_yaml
@@ -104,7 +104,7 @@ def write_case(
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.yaml").write_text(robot_yaml(robot), encoding="utf-8")
     for errors, poses in odometry.items():
-        level = np.column_stack([poses[:, :2], wrap(poses[:, 2])])
+        level = wrapped(poses)
         write_csv(folder / ODOMETRY[errors], posed(frames, level), robot.sonars)
     if truth is not None:
         write_tum(folder / "truth.tum", np.array([frame.stamp for frame in frames]), truth)

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from echogrid.geometry import compose, inverse, wrap
+from echogrid.geometry import wrapped
+from echogrid.position.motion import chained, steps
 
 
 @dataclass(frozen=True)
@@ -32,13 +33,9 @@ class Odometry:
         The draws are the same whatever the sigmas, so that one run with twice the errors errs the same way.
         """
         scale, bias = self.scale * rng.standard_normal(), self.bias_deg_m * rng.standard_normal()
-        steps = compose(inverse(truth[:-1]), truth[1:])
-        way = np.hypot(steps[:, 0], steps[:, 1])
-        along, turn = rng.standard_normal((2, len(steps))) * np.sqrt(way)
-        steps[:, 0] += scale * way * np.sign(steps[:, 0]) + self.noise * along
-        steps[:, 2] += np.deg2rad(bias * way + self.noise_deg_m * turn)
-        theta = truth[0, 2] + np.append(0.0, np.cumsum(steps[:, 2]))
-        cos, sin = np.cos(theta[:-1]), np.sin(theta[:-1])
-        moves = np.stack([cos * steps[:, 0] - sin * steps[:, 1], sin * steps[:, 0] + cos * steps[:, 1]], axis=1)
-        places = truth[0, :2] + np.concatenate([np.zeros((1, 2)), np.cumsum(moves, axis=0)])
-        return np.column_stack([places, wrap(theta)])
+        step = steps(truth)
+        way = np.hypot(step[:, 0], step[:, 1])
+        along, turn = rng.standard_normal((2, len(step))) * np.sqrt(way)
+        step[:, 0] += scale * way * np.sign(step[:, 0]) + self.noise * along
+        step[:, 2] += np.deg2rad(bias * way + self.noise_deg_m * turn)
+        return wrapped(chained(truth[0], step))

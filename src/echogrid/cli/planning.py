@@ -12,7 +12,7 @@ from numpy import ndarray
 from tqdm import tqdm
 from tyro.conf import Positional, arg
 
-from echogrid.cli.arguments import WORLD, check_physics, check_seed, drop, robot_arg
+from echogrid.cli.arguments import WORLD, check_physics, check_seed, drop, robot_arg, start_pose
 from echogrid.errors import UsageError, escaped
 from echogrid.extras import need
 from echogrid.files import check_writable, made, printable, read_text, replacing
@@ -169,13 +169,7 @@ class Explore:
 
         if self.start is None:
             return np.array([*start_of(world, robot.footprint_radius_m + 0.1), 0.0])
-        try:
-            x, y, degrees = (float(number) for number in self.start.split(","))
-        except ValueError:
-            x = y = degrees = np.nan
-        if not np.isfinite([x, y, degrees]).all():
-            raise UsageError(f"--start: found {self.start}, expected X,Y,DEG in m, m and degrees")
-        return np.array([x, y, np.deg2rad(degrees)])
+        return start_pose(self.start)
 
     def _write(self, world: World, robot: Robot, found: "Explored") -> None:
         """Write what there is besides the map."""

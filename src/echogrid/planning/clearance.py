@@ -135,6 +135,24 @@ class Floor:
         row, col = cells[np.argmin(np.linalg.norm(self.grid.centre_of(cells) - p_map, axis=1))].tolist()
         return row, col
 
+    def standing(
+        self, costs: Float32[ndarray, "rows cols"], p_map: Float[ndarray, "2"]
+    ) -> tuple[tuple[int, int] | None, float]:
+        """The cell [row, col] in which the robot can stand nearest to a point, and how far its middle is off, m.
+
+        It is 0 in the point's own cell; None and inf if there is none.
+
+        Args:
+            costs: as of ``costs``.
+            p_map: the point, m.
+        """
+        open_ = np.isfinite(costs)
+        cell = self.cell(p_map)
+        if cell is not None and open_[cell]:
+            return cell, 0.0
+        near = self.nearest(open_, p_map)
+        return near, np.inf if near is None else float(np.linalg.norm(self.grid.centre_of(np.array(near)) - p_map))
+
 
 def gap(cells: Bool[ndarray, "rows cols"], resolution: float) -> Float32[ndarray, "rows cols"]:
     """From the middle of each cell to the nearest of some, m: half a cell less than between their middles."""

@@ -185,8 +185,8 @@ class Explorer:
             around: the map as it is now, ``around_m`` round the robot.
             pose: of the robot, m, m, rad.
         """
-        self._way_m += 0.0 if self._last is None else float(np.linalg.norm(pose[:2] - self._last))
         moved = 0.0 if self._last is None else float(np.linalg.norm(pose[:2] - self._last))
+        self._way_m += moved
         self._last = pose[:2].copy()
         if self.state == "done":
             return 0.0, 0.0
@@ -270,8 +270,9 @@ class Explorer:
         cells, places = cells[fits], places[fits]
         before = np.array(self._looks)
         apart = np.min(np.linalg.norm(places[:, None] - before, axis=2), axis=1)
-        row, col = cells[np.argmax(apart - 0.3 * self._found.to_go[tuple(cells.T)])].tolist()
-        self._looks.append(places[np.argmax(apart - 0.3 * self._found.to_go[tuple(cells.T)])])
+        best = int(np.argmax(apart - 0.3 * self._found.to_go[tuple(cells.T)]))
+        row, col = cells[best].tolist()
+        self._looks.append(places[best])
         self._go(self._floor, self._found, (row, col))
         return True
 
@@ -338,11 +339,5 @@ class Explorer:
 
 def _stand(floor: Floor, pose: Float[ndarray, "3"]) -> tuple[int, int] | None:
     """The cell in which the robot stands, or the nearest to it in which it could."""
-    open_ = np.isfinite(floor.known_costs)
-    cell = floor.cell(pose[:2])
-    if cell is not None and open_[cell]:
-        return cell
-    near = floor.nearest(open_, pose[:2])
-    if near is None or np.linalg.norm(floor.grid.centre_of(np.array(near)) - pose[:2]) > STEP_OFF_M:
-        return None
-    return near
+    cell, off = floor.standing(floor.known_costs, pose[:2])
+    return cell if off <= STEP_OFF_M else None

@@ -59,10 +59,10 @@ def follow(
     """
     off = np.linalg.norm(points - pose[:2], axis=1)
     nearest = int(np.argmin(off))
-    to_end = float(off[nearest] + np.sum(np.linalg.norm(np.diff(points[nearest:], axis=0), axis=1)))
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points[nearest:], axis=0), axis=1)))
+    to_end = float(off[nearest] + way[-1])
     if to_end < THERE_M:
         return None
-    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points[nearest:], axis=0), axis=1)))
     # In the narrow the robot keeps closer to its path.
     ahead = AHEAD_M * float(np.clip(0.4 + room_m / pace.roomy_m, 0.4, 1.0))
     target = points[nearest + min(int(np.searchsorted(way, ahead)), len(way) - 1)]

@@ -8,6 +8,7 @@ from numpy import ndarray
 from scipy import ndimage
 
 from echogrid import _core
+from echogrid.geometry import wrap
 from echogrid.planning.clearance import Floor, gap
 from echogrid.robot import Robot
 
@@ -140,5 +141,5 @@ def look(floor: Floor, robot: Robot, place: Float[ndarray, "2"]) -> tuple[float,
 def _covered(robot: Robot) -> Bool[ndarray, "rays"]:
     """Directions in the robot's frame into which a sonar looks."""
     bearing = np.arange(_RAYS) * (2 * np.pi / _RAYS)
-    off = (bearing[:, None] - robot.mounts[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    off = wrap(bearing[:, None] - robot.mounts[:, 2])
     return np.any(np.abs(off) <= robot.beam_width_rad / 2 + np.pi / _RAYS, axis=1)

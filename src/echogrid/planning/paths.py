@@ -131,16 +131,11 @@ def _standing(
     floor: Floor, costs: Float32[ndarray, "rows cols"], p: Float[ndarray, "2"], what: str
 ) -> tuple[int, int]:
     """The cell in which the robot can stand nearest to a point, or a NoPathError that says why it cannot."""
-    open_ = np.isfinite(costs)
-    cell = floor.cell(p)
-    if cell is not None and open_[cell]:
-        return cell
-    near = floor.nearest(open_, p)
-    off = inf if near is None else float(np.linalg.norm(floor.grid.centre_of(np.array(near)) - p))
+    near, off = floor.standing(costs, p)
     if near is not None and off <= OFF_M + floor.grid.resolution:
         return near
     stands = "nowhere" if near is None else f"{off:.2f} m off, at {_told(floor, near)}"
-    found = f"found {_why_not(floor, cell)}, expected free floor for a footprint of {floor.radius_m:g} m"
+    found = f"found {_why_not(floor, floor.cell(p))}, expected free floor for a footprint of {floor.radius_m:g} m"
     raise NoPathError(f"plan: {what} {_place(p)}: {found}; the nearest place to stand is {stands}")
 
 

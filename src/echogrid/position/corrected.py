@@ -104,7 +104,7 @@ def slam(log: Iterable[Frame], robot: Robot, progress: Callable[[int, int], obje
         notes[why] = 0
     else:
         found = found_by([replace(f, pose=p) for f, p in zip(frames, told.poses, strict=True)], robot, progress)
-        notes |= found.notes | _unheard(stamps, found.poses, ranges) | _alone(found) | _loose(found)
+        notes |= _unheard(stamps, found.poses, ranges) | _alone(found) | _loose(found)
     poses = told.poses if found is None else found.poses
     posed = Log(name, robot.sonars, log.robot if isinstance(log, Log) else None, _Posed(frames, poses), notes)
     return Corrected(replace(posed, judges=True), stamps, poses, odometry, found)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.frame import Frame
-from echogrid.geometry import compose, wrap
+from echogrid.geometry import compose, wrapped
 from echogrid.position import walls
 from echogrid.position.forgetting import chained_variance, handed_on, to_forget
 from echogrid.position.motion import chained, corrected, steps
@@ -59,11 +59,6 @@ class Graph(NamedTuple):
         return wrapped(spread_over(cut, self.poses[piece:], self.drive[first:])[begin - first :])
 
 
-def wrapped(poses: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
-    """Poses whose headings lie in [-pi, pi)."""
-    return np.column_stack([poses[:, :2], wrap(poses[:, 2])])
-
-
 class Growing(Drive):
     """A drive that grows by pieces."""
 
@@ -71,9 +66,8 @@ class Growing(Drive):
         """A drive of one piece, of these frames, whose poses are by odometry."""
         self.robot = robot
         self._kept, self._taken = list(frames), len(frames)
-        self._merged: dict[
-            int, Float[ndarray, "3"]
-        ] = {}  # variances of odometry that jumped, or past what is forgotten
+        # Variances of odometry that jumped, or past what is forgotten.
+        self._merged: dict[int, Float[ndarray, "3"]] = {}
         super().__init__(self._kept, np.array([frame.pose for frame in frames], dtype=float), robot)
         self._first = self._kept[self.cut[0].middle].pose
         for k in range(1, self.count):

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from echogrid.doubts import FASTEST_M_S, FASTEST_RAD_S, JUMP_M, JUMP_RAD
@@ -47,10 +47,10 @@ def lengths(step: Float[ndarray, "*n 3"]) -> tuple[Float[ndarray, "*n"], Float[n
     return np.where(step[..., 0] < 0, -way, way), np.abs(step[..., 2])
 
 
-def jumped(step: Float[ndarray, "3"], took: float) -> bool:
-    """Whether a step (m, m, rad) is one that no robot does in a time (s); none at all where time goes back."""
-    way, turn = float(np.hypot(step[0], step[1])), abs(float(step[2]))
-    return way > max(JUMP_M, FASTEST_M_S * took) or turn > max(JUMP_RAD, FASTEST_RAD_S * took)
+def jumped(step: Float[ndarray, "*n 3"], took: Float[ndarray, "*n"] | float) -> Bool[ndarray, "*n"] | np.bool:
+    """Whether steps (m, m, rad) are such as no robot does in a time (s); none at all where time goes back."""
+    way, turn = np.hypot(step[..., 0], step[..., 1]), np.abs(step[..., 2])
+    return (way > np.maximum(JUMP_M, FASTEST_M_S * took)) | (turn > np.maximum(JUMP_RAD, FASTEST_RAD_S * took))
 
 
 def corrected(step: Float[ndarray, "n 3"], parameters: Float[ndarray, "3"]) -> Float[ndarray, "n 3"]:

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from echogrid.doubts import FASTEST_M_S, FASTEST_RAD_S, JUMP_M, JUMP_RAD, LEAST_STEPS, OFTEN, STAYS
-from echogrid.geometry import wrap
+from echogrid.doubts import LEAST_STEPS, OFTEN, STAYS
+from echogrid.geometry import wrap, wrapped
 from echogrid.position import motion
 
 SELDOM = 1.3
@@ -106,8 +106,7 @@ def _jumps(
     step = motion.steps(poses[at])
     # The time for it: since the scan before, or since the last pose, if the robot has not stood there.
     took = np.maximum(stamps[at[1:]] - stamps[at[1:] - 1], np.minimum(np.diff(stamps[at]), _STANDS * period))
-    way, turn = np.hypot(step[:, 0], step[:, 1]), np.abs(step[:, 2])
-    return (way > np.maximum(FASTEST_M_S * took, JUMP_M)) | (turn > np.maximum(FASTEST_RAD_S * took, JUMP_RAD))
+    return np.asarray(motion.jumped(step, took))
 
 
 def _glitches(
@@ -151,7 +150,7 @@ def _joined(
             step[jump] = 0.0
             notes[f"{what}: the drive goes on from where it was"] = 0
     first = known[:1]
-    return np.concatenate([first, _wrapped(motion.chained(first[0], step))[1:]]), notes
+    return np.concatenate([first, wrapped(motion.chained(first[0], step))[1:]]), notes
 
 
 def _alike(ranges: Float[ndarray, "frames sonars"], frame: int) -> bool | None:
@@ -182,8 +181,4 @@ def _between(
     when = np.insert(when, stood + 1, when[stood + 1] - period)
     known = np.insert(known, stood + 1, known[stood], axis=0)
     known = np.column_stack([known[:, :2], np.unwrap(known[:, 2])])
-    return _wrapped(np.column_stack([np.interp(times, when, column) for column in known.T]))
-
-
-def _wrapped(poses: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
-    return np.column_stack([poses[:, :2], wrap(poses[:, 2])])
+    return wrapped(np.column_stack([np.interp(times, when, column) for column in known.T]))

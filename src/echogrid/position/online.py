@@ -13,10 +13,10 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.frame import Frame
-from echogrid.geometry import compose, inverse
+from echogrid.geometry import compose, inverse, wrapped
 from echogrid.mapping.intake import check_robot, cleaned, fitting
 from echogrid.position.beside import Beside
-from echogrid.position.growing import Graph, Growing, grown, wrapped
+from echogrid.position.growing import Graph, Growing, grown
 from echogrid.position.motion import chained, corrected, jumped, lengths, steps
 from echogrid.position.pieces import LEAST_FRAMES, PIECE_M, PIECE_RAD
 from echogrid.robot import Robot

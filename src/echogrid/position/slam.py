@@ -84,8 +84,6 @@ class Found:
     """Nodes between which a loop was closed."""
     drift: Float[ndarray, "3"]
     """What corrects the odometry: of its scale, of its heading (rad/m) and of its turning."""
-    notes: dict[str, int]
-    """What is doubtful, and how often; 0 where that says nothing."""
 
 
 def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], object] | None = None) -> Found:
@@ -109,7 +107,7 @@ def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], o
     poses = compose(odometry[0], compose(inverse(poses[0]), poses))
     loops = [(edge.first, edge.second) for edge in drive.matches if edge.loop]
     nodes = np.array([piece.middle for piece in drive.cut])
-    return Found(poses, odometry, nodes, drive.edges(drive.count), loops, drive.drift, {})
+    return Found(poses, odometry, nodes, drive.edges(drive.count), loops, drive.drift)
 
 
 def _placed(drive: "Drive", progress: Callable[[int, int], object] | None) -> "Drive":

@@ -13,7 +13,7 @@ from numpy import ndarray
 from scipy.ndimage import distance_transform_edt
 
 from echogrid.errors import UsageError
-from echogrid.geometry import wrap
+from echogrid.geometry import wrap, wrapped
 from echogrid.metrics import FREE, HIDDEN, SURFACE, Truth
 from echogrid.models.networks.memory import Memory
 from echogrid.robot import Robot
@@ -130,7 +130,7 @@ def _through_rooms(
     poses = poses[:: max(1, round(step / STEP_M))]
     begin = int(rng.integers(0, max(1, len(poses) - frames // 2)))
     poses = np.concatenate([poses[begin:], poses[::-1] + np.array([0.0, 0.0, np.pi]), poses])
-    return np.resize(np.column_stack([poses[:, :2], wrap(poses[:, 2])]), (frames, 3))
+    return np.resize(wrapped(poses), (frames, 3))
 
 
 def _points_of(rng: np.random.Generator, truth: Truth, poses: Float[ndarray, "frames 3"]) -> Points | None:
