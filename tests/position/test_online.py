@@ -183,7 +183,7 @@ def test_what_fails_beside_the_driving_is_raised(finder, monkeypatch):
 def test_the_map_is_made_anew_as_the_poses_say_now(finder):
     mapper, now = Mapper(B21), 0.0
     remapping, renewed = Remapping(finder, Mapper), 0
-    for frame in drifting()[:260]:
+    for frame in drifting()[:400]:
         pose = finder.add(frame)
         finder.wait()
         placed = replace(frame, pose=pose)
