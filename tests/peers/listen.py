@@ -15,7 +15,9 @@ print("ready", flush=True)
 heard = []
 waiting = Thread(target=sys.stdin.read)
 waiting.start()
-while waiting.is_alive():
+last = False
+while not last:
+    last = not waiting.is_alive()  # and what came before it is still taken
     network.wait(0.05)
     network.discover()
     for _, topic, message in network.take():

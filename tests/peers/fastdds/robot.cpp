@@ -222,6 +222,10 @@ public:
                 throw std::runtime_error("unknown line: " + line);
             }
         }
+        // Who has not heard it all yet would find nobody to ask once the writers are gone.
+        for (const auto& each : writers_) {
+            each.second->wait_for_acknowledgments(eprosima::fastrtps::Duration_t(10, 0));
+        }
     }
 
 private:
