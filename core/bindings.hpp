@@ -20,5 +20,6 @@ void bind_paper_network(nanobind::module_& module);
 void bind_set_network(nanobind::module_& module);
 void bind_cost_to_go(nanobind::module_& module);
 void bind_drive(nanobind::module_& module);
+void bind_rays(nanobind::module_& module);
 
 }  // namespace echogrid

@@ -41,4 +41,5 @@ NB_MODULE(_core, module) {
     echogrid::bind_set_network(module);
     echogrid::bind_cost_to_go(module);
     echogrid::bind_drive(module);
+    echogrid::bind_rays(module);
 }

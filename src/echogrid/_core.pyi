@@ -301,6 +301,34 @@ def stand(
         First cell that was covered and that behind the last: row, col, row, col; None: there is none.
     """
 
+def add_rays(
+    from_: Float64[ndarray, "fans 2"],
+    angles: Float64[ndarray, "fans rays"],
+    first: Float64[ndarray, "fans"],
+    step: float,
+    counts: Int64[ndarray, "fans"],
+    change: float,
+    corner: tuple[float, float],
+    cell: float,
+    cells: Float64[ndarray, "rows cols"],
+) -> None:
+    """Add to the cells in which points of rays lie, once for each point; those outside of the map are left out.
+
+    Args:
+        from_: x, y where the rays of each fan begin, m.
+        angles: along which they lead, rad.
+        first: how far along it the first point of each ray of a fan is, m.
+        step: from point to point, m.
+        counts: points of each ray of a fan.
+        change: is added.
+        corner: lower left corner of the map, m.
+        cell: side of a cell, m.
+        cells: written to.
+
+    Raises:
+        UsageError: arrays of other shapes, no cell.
+    """
+
 class PaperNetwork:
     """The paper's network, bound to points of a robot's frame."""
 

@@ -28,7 +28,7 @@ def test_what_was_seen_is_found_where_it_was_seen(x, y, theta):
         surface=transform(seen_from, what.surface.astype(float)).astype(np.float32),
         free=transform(seen_from, what.free.astype(float)).astype(np.float32),
     )
-    found = matching.match(matching.Target(room()), moved, np.zeros(3), np.diag([0.05, 0.05, 0.05]) ** 2, levels=3)
+    found = matching.match(matching.Target(room()), moved, np.zeros(3), np.diag([0.05, 0.05, 0.05]) ** 2, wide=True)
     assert found is not None
     assert np.hypot(*(found.pose[:2] - pose[:2])) < 0.03
     assert abs(wrap(found.pose[2] - pose[2])) < np.deg2rad(2)

@@ -1,11 +1,13 @@
 """Evidence beyond the reach of the network, from echoes as they are: coarse, for halls whose walls are far off."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 
+from echogrid._core import add_rays
 from echogrid.frame import Frame
 from echogrid.geometry import compose
 from echogrid.position.matching import Field
@@ -24,50 +26,69 @@ _BEFORE_M = 0.25  # so much of the way before an echo is not told free
 _RAYS = 7
 
 
-def with_far_echoes(field: Field, frames: Sequence[Frame], poses: Float[ndarray, "frames 3"], robot: Robot) -> Field:
-    """A local map, and round what it knows the evidence of far echoes of frames at poses (m, m, rad) in its frame."""
+class FarEchoes(NamedTuple):
+    """Echoes of some scans from beyond the network's reach."""
+
+    frame: Int[ndarray, "echoes"]
+    """Which of the scans heard it."""
+    mounts: Float[ndarray, "echoes 3"]
+    """Of the sonars on the robot, m, m, rad."""
+    ranges: Float[ndarray, "echoes"]
+    """m"""
+
+    def at(self, poses: Float[ndarray, "frames 3"]) -> Float[ndarray, "echoes 3"]:
+        """Where the sonars were (m, m, rad) if the scans were made at poses."""
+        return compose(poses[self.frame], self.mounts)
+
+
+def far_echoes(frames: Sequence[Frame], robot: Robot) -> FarEchoes:
+    """Those of scans of a robot."""
     ranges = np.array([frame.ranges for frame in frames])
+    mounts = np.array([robot.mounts if frame.mounts is None else frame.mounts for frame in frames])
     frame, sonar = np.nonzero(np.isfinite(ranges) & (ranges > NEAR_M) & (ranges <= FAR_M))
-    if not len(frame):
+    return FarEchoes(frame, mounts[frame, sonar], ranges[frame, sonar])
+
+
+def with_far_echoes(
+    field: Field, at: Float[ndarray, "echoes 3"], ranges: Float[ndarray, "echoes"], beam_width: float
+) -> Field:
+    """A local map, and round what it knows the evidence of far echoes.
+
+    Args:
+        field: the map.
+        at: poses of the sonars in its frame, m, m, rad.
+        ranges: m.
+        beam_width: of the sonars, rad.
+    """
+    if not len(at):
         return field
-    ranges, cell = ranges[frame, sonar], field.cell_m
-    mounts = np.array([robot.mounts[k] if (own := frames[i].mounts) is None else own[k]
-                       for i, k in zip(frame.tolist(), sonar.tolist(), strict=True)])  # fmt: skip
-    at = compose(poses[frame], mounts)
-    half = max(robot.beam_width_rad / 2 * BEAM_SHARE, 0.02)
-    arc = np.linspace(-half, half, max(3, int(2 * half * FAR_M / cell)))
-    surface = _polar(at, arc, ranges[:, None] + np.arange(-1, 2) * cell)
-    way = np.broadcast_to(
-        np.arange(NEAR_M - 0.5, FAR_M, cell), (len(ranges), int(np.ceil((FAR_M - NEAR_M + 0.5) / cell)))
-    )
-    free = _polar(at, np.linspace(-half, half, _RAYS) * 0.7, way)
-    free = free[np.broadcast_to((way < ranges[:, None] - _BEFORE_M)[:, None], free.shape[:-1])]
-    return _around(field, surface.reshape(-1, 2), free)
+    cell = field.cell_m
+    half = max(beam_width / 2 * BEAM_SHARE, 0.02)
+    arc = at[:, 2, None] + np.linspace(-half, half, max(3, int(2 * half * FAR_M / cell)))
+    way = at[:, 2, None] + np.linspace(-half, half, _RAYS) * 0.7
+    around, inner = _around(field, at[:, :2], arc, ranges + cell)
+    log_odds, begin = around.b, np.full(len(ranges), NEAR_M - 0.5)
+    free = np.ceil((ranges - _BEFORE_M - begin) / cell).astype(np.int64)
+    for angles, first, counts, change in (
+        (arc, ranges - cell, np.full(len(ranges), 3), SURFACE),
+        (way, begin, free, -FREE),
+    ):
+        add_rays(at[:, :2], angles, first, cell, counts, change, around.origin, cell, log_odds)
+    np.tanh(np.clip(log_odds, -MOST, MOST, out=log_odds) / 2, out=log_odds)
+    log_odds[inner] = np.where(field.b != 0, field.b, log_odds[inner])
+    return around
 
 
-def _polar(
-    at: Float[ndarray, "echoes 3"], bearing: Float[ndarray, "n"], radius: Float[ndarray, "echoes m"]
-) -> Float[ndarray, "echoes n m 2"]:
-    angle = (at[:, 2, None] + bearing)[..., None]
-    radius = radius[:, None]
-    return np.stack(
-        [at[:, 0, None, None] + radius * np.cos(angle), at[:, 1, None, None] + radius * np.sin(angle)], -1
-    )
-
-
-def _around(field: Field, surface: Float[ndarray, "n 2"], free: Float[ndarray, "m 2"]) -> Field:
+def _around(
+    field: Field, at: Float[ndarray, "echoes 2"], arc: Float[ndarray, "echoes n"], radius: Float[ndarray, "echoes"]
+) -> tuple[Field, tuple[slice, slice]]:
+    """An empty map that holds arcs of echoes besides, and where in it the one that there is lies."""
     cell, origin = field.cell_m, np.array(field.origin)
-    rows, cols = field.b.shape
-    low = np.floor((np.minimum(surface.min(axis=0), origin) - origin) / cell + 1e-6).astype(int) - 1
-    high = np.maximum(surface.max(axis=0), origin + np.array([cols, rows]) * cell)
-    size = np.ceil((high - origin) / cell).astype(int) + 2 - low
+    size = np.array(field.b.shape[::-1]) * cell
+    ends = [at[:, axis] + radius * turned(arc).T for axis, turned in enumerate((np.cos, np.sin))]
+    low = np.floor((np.minimum([each.min() for each in ends], origin) - origin) / cell).astype(int) - 1
+    high = np.ceil((np.maximum([each.max() for each in ends], origin + size) - origin) / cell).astype(int) + 1
+    cols, rows = high - low
     corner = origin + low * cell
-    log_odds = np.zeros(size[::-1])
-    for points, change in ((surface, SURFACE), (free, -FREE)):
-        x, y = ((points - corner) / cell).astype(int).T
-        held = (x >= 0) & (y >= 0) & (x < size[0]) & (y < size[1])
-        np.add.at(log_odds, (y[held], x[held]), change)
-    b = np.tanh(np.clip(log_odds, -MOST, MOST) / 2)
-    inner = b[-low[1] : -low[1] + rows, -low[0] : -low[0] + cols]
-    inner[...] = np.where(field.b != 0, field.b, inner)
-    return Field(b, (float(corner[0]), float(corner[1])), cell)
+    inner = np.s_[-low[1] : field.b.shape[0] - low[1], -low[0] : field.b.shape[1] - low[0]]
+    return Field(np.zeros((rows, cols)), (float(corner[0]), float(corner[1])), cell), inner

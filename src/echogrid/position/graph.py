@@ -196,8 +196,7 @@ class _System:
         by = np.concatenate([by_first, by_second, by_measured @ self._by], axis=2)
         weighted = information @ by
         blocks = np.einsum("nij,nik->njk", by, weighted)
-        gradient = np.zeros(self._size)
-        np.add.at(gradient, self._at.ravel(), np.einsum("nij,ni->nj", weighted, off).ravel())
+        gradient = np.bincount(self._at.ravel(), np.einsum("nij,ni->nj", weighted, off).ravel(), self._size)
         gradient[self._size - len(self._spread) :] += point.parameters / self._spread**2
         return csc_matrix((blocks.ravel(), (self._rows, self._cols)), shape=(self._size, self._size)), gradient
 

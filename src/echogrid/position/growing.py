@@ -104,6 +104,7 @@ class Growing(Drive):
             self.parameters[1] -= bias
             self._step = corrected(self._step, np.array([0.0, bias, 0.0]))
             self._correct()
+            self._maps.forget_ways()
             self._solve(self.count)
 
     def _odometry_information(self) -> Float[ndarray, "pairs 3 3"]:
@@ -121,6 +122,9 @@ class Growing(Drive):
         self.matches = self._handed_on(gone, number)
         self._headings = {number[k]: heading for k, heading in self._headings.items() if k in number}
         self._walls = {number[k]: points for k, points in self._walls.items() if k in number}
+        self._maps.keep(number)
+        self._near = None
+        self._seen.clear()
         cut = [self.cut[k] for k in stay]
         frames = np.concatenate([np.arange(piece.first, piece.end) for piece in cut])
         self._step = steps(chained(np.zeros(3), self._step)[frames])
@@ -191,6 +195,8 @@ class Growing(Drive):
         self.robot = robot
         self._kept[:] = [grown(frame, robot) for frame in self._kept]
         self._maps = LocalMaps(self._kept, self.cut, robot)
+        self._maps.drive = self.by_odometry
+        self._near = None
 
 
 def grown(frame: Frame, robot: Robot) -> Frame:

@@ -1,9 +1,10 @@
 """What a piece of a drive saw, laid onto a map: where it fits, and how surely."""
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from echogrid._core import PoseScorer
@@ -24,6 +25,14 @@ their number. With it the spread over poses is that of matches at true poses."""
 FAIR = 0.9
 """Share of the agreement met on known ground that new ground is taken to have: at 0 a piece would rather slide back
 over what the map knows."""
+
+STEPS = np.array([[0.15, 0.15, np.deg2rad(3.0)], [0.08, 0.08, np.deg2rad(2.0)]])
+MOST_STEPS = np.array([[41, 41, 25], [25, 25, 25]])
+"""How far apart (m, m, rad) the poses of the first two levels of a wide search are, unless there were more of them
+along an axis than the last."""
+
+FEWER, COARSE = 3, 3
+"""On these one point of so many is laid onto the map; on the first it is in cells of so many."""
 
 LEAST_SPREAD = np.array([0.06, 0.06, np.deg2rad(4.0)])
 """Of the guess, m, m, rad: never is less than some multiples of it looked at."""
@@ -90,9 +99,21 @@ class Target:
     """A map that pieces are laid onto."""
 
     def __init__(self, field: Field):
+        self._field = field
         b = field.b.astype(np.float32)
         self._b = PoseScorer(np.clip(b, -SURE, SURE), field.origin, field.cell_m)
         self._known = PoseScorer((np.abs(b) > KNOWN).astype(np.float32), field.origin, field.cell_m)
+
+    @cached_property
+    def coarse(self) -> "Target":
+        """It in coarse cells; those that hold a surface anywhere are one."""
+        field, n = self._field, COARSE
+        rows, cols = (-(-size // n) for size in field.b.shape)
+        whole = np.zeros((rows * n, cols * n))
+        whole[: field.b.shape[0], : field.b.shape[1]] = field.b
+        blocks = whole.reshape(rows, n, cols, n)
+        most, least = blocks.max(axis=(1, 3)), blocks.min(axis=(1, 3))
+        return Target(Field(np.where(most > KNOWN, most, least), field.origin, n * field.cell_m))
 
     def agreement(self, what: Seen, poses: Float[ndarray, "poses 3"]) -> Agreement:
         """How what was seen agrees with the map if it was seen from poses (m, m, rad) in its frame."""
@@ -111,6 +132,7 @@ class Match(NamedTuple):
 
     pose: Float[ndarray, "3"]
     information: Float[ndarray, "3 3"]
+    """In the frame of the pose."""
     share: float
     """Of the points that lie on known ground."""
     agreement: float
@@ -126,8 +148,8 @@ def match(
     what: Seen,
     guess: Float[ndarray, "3"],
     covariance: Float[ndarray, "3 3"],
-    levels: int = 2,
     count: int = 11,
+    wide: bool = False,
     at_first: float = FAIR,
 ) -> Match | None:
     """Lay what was seen onto a map, round a guess.
@@ -141,9 +163,9 @@ def match(
         what: was seen.
         guess: pose in the map's frame, m, m, rad.
         covariance: of the guess, in the map's frame.
-        levels: of lattices.
-        count: of poses along an axis of each.
-        at_first: in place of FAIR, on all but the last two levels.
+        count: of poses along an axis of each lattice, at least.
+        wide: whether to look on a coarse lattice first, for the guess may be far off.
+        at_first: in place of FAIR, on that.
 
     Returns:
         The match; None where hardly a surface was seen.
@@ -151,43 +173,60 @@ def match(
     points = len(what.surface) + len(what.free)
     if what.strength < 0.05 or points < 20:
         return None
-    sharpness = SHARPNESS * what.strength / points
+    fewer = Seen(*(each[::FEWER] for each in what[:4]), what.strength)
+    levels = [(target.coarse, fewer), (target, fewer), (target, what)] if wide else [(target, what)] * 2
     spread = np.maximum(np.sqrt(np.diag(covariance)), LEAST_SPREAD)
     prior = np.linalg.inv(covariance + np.diag(LEAST_SPREAD**2 / 4))
-    centre, half, usual = guess, WINDOW * spread, (0.0, 0.0)
-    for level in range(levels):
-        axes = [np.linspace(-h, h, count) for h in half]
-        poses = centre + np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        told = target.agreement(what, poses)
+    centre, half, usual = guess, WINDOW * spread, None
+    for level, (ground, some) in enumerate(levels):
+        counts = np.full(3, count)
+        if some is fewer:
+            counts = np.clip(np.ceil(2 * half / STEPS[level]).astype(int) + 1, count, MOST_STEPS[level])
+        poses = centre + _lattice(half, counts)
+        told = ground.agreement(some, poses)
+        sharpness = SHARPNESS * what.strength / (len(some.surface) + len(some.free))
         off = poses - guess
         held = -0.5 * np.einsum("ni,ij,nj->n", off, prior, off)
         agreed = told.surface + told.free
-        if level == 0:
-            at = int(np.argmax(agreed * sharpness + held))
-            usual = _usual(told, at)
+        if usual is None:
+            usual = _usual(told, int(np.argmax(agreed * sharpness + held)))
         new = usual[0] * told.surface_known + usual[1] * told.free_known
-        fair = FAIR if level >= levels - 2 else at_first
-        posterior = (agreed - fair * new) * sharpness + held
-        at = int(np.argmax(posterior))
-        weight = np.exp(posterior - posterior[at])
-        weight /= weight.sum()
-        mean = weight @ poses
-        apart = poses - mean
-        step = 2 * half / (count - 1)
-        found = np.einsum("n,ni,nj->ij", weight, apart, apart) + np.diag(step**2 / 12)
-        if level < levels - 1:
-            centre, half = mean, np.minimum(half, 3 * np.sqrt(np.diag(found)) + step)
+        posterior = (agreed - (at_first if ground is not target else FAIR) * new) * sharpness + held
+        at, mean, found = _summed_up(poses, posterior)
+        step = 2 * half / (counts - 1)
+        found += np.diag(step**2 / 12)
+        centre, half = mean, np.minimum(half, 3 * np.sqrt(np.diag(found)) + step)
     pose, information = _without(mean, found, guess, prior, spread)
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
     known = told.surface_known[at] + told.free_known[at]
     surface, _ = _means(told, at)
     return Match(
         pose,
-        information,
+        turn @ information @ turn.T,
         float(known / points),
         float(agreed[at] / max(known, 1)),
         surface,
         float(told.surface_known[at] / max(len(what.surface), 1)),
     )
+
+
+def _lattice(half: Float[ndarray, "3"], counts: Int[ndarray, "3"]) -> Float[ndarray, "poses 3"]:
+    """Poses round 0, so far to each side along each axis and so many."""
+    axes = [np.linspace(-h, h, n) for h, n in zip(half, counts.tolist(), strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _summed_up(
+    poses: Float[ndarray, "poses 3"], posterior: Float[ndarray, "poses"]
+) -> tuple[int, Float[ndarray, "3"], Float[ndarray, "3 3"]]:
+    """The best of some poses by the logarithm of what they are worth, their mean and their covariance."""
+    at = int(np.argmax(posterior))
+    weight = np.exp(posterior - posterior[at])
+    weight /= weight.sum()
+    mean = weight @ poses
+    apart = poses - mean
+    return at, mean, np.einsum("n,ni,nj->ij", weight, apart, apart)
 
 
 def _means(told: Agreement, at: int) -> tuple[float, float]:

@@ -1,6 +1,6 @@
 """A drive cut into pieces, each short enough for its odometry, and the local maps that pieces make."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -13,7 +13,8 @@ from echogrid.geometry import compose, inverse, wrap
 from echogrid.grid import sigmoid
 from echogrid.mapping.mapper import Mapper
 from echogrid.mapping.registry import DEFAULT, sensor_model
-from echogrid.position.echoes import with_far_echoes
+from echogrid.models.networks.set_network import SetNetwork, Views
+from echogrid.position.echoes import FarEchoes, far_echoes, with_far_echoes
 from echogrid.position.matching import Field
 from echogrid.position.motion import lengths
 from echogrid.robot import Robot
@@ -44,64 +45,132 @@ def pieces(step: Float[ndarray, "steps 3"]) -> list[Piece]:
     return [Piece(a, b, (a + b) // 2) for a, b in pairwise(cut.tolist())]
 
 
+WARM = 2
+"""Pieces before one whose scans are remembered when its own are read."""
+
+MOST_READ, MOST_OWN = 400, 16
+"""Pieces of which what was read is kept, about 0.15 MB each, and of which local maps of their own are."""
+
+
+class _Read(NamedTuple):
+    """What the scans of a piece say, wherever they were made."""
+
+    views: Views
+    far: FarEchoes
+
+
+def _kept[K, V](kept: dict[K, V], key: K, most: int, made: Callable[[], V]) -> V:
+    """What is kept under a key, or is made and kept; of more than so many the longest unwanted goes."""
+    value = kept.pop(key) if key in kept else made()
+    kept[key] = value
+    if len(kept) > most:
+        del kept[next(iter(kept))]
+    return value
+
+
 class LocalMaps:
-    """The local maps of a drive: of any pieces, as seen from any pose, by the poses that the pieces have now."""
+    """The local maps of a drive: of any pieces, as seen from any pose, by the poses that the pieces have now.
+
+    What was read of a piece is kept for when it is asked for again.
+    """
 
     def __init__(self, frames: Sequence[Frame], cut: Sequence[Piece], robot: Robot):
         self._frames, self._cut, self._robot = frames, cut, robot
-        self._model = sensor_model(DEFAULT)
+        model = sensor_model(DEFAULT)
+        assert isinstance(model, SetNetwork)
+        self._model = model
+        self._read: dict[int, _Read] = {}
+        self._way: dict[int, Float[ndarray, "own 3"]] = {}
+        self._own: dict[tuple[int, bool], Field] = {}
+        self.drive: Float[ndarray, "frames 3"] = np.zeros((0, 3))
+        """Poses of all frames by odometry alone, for the way within a piece, which is short: it is taken but once."""
 
-    def of(
-        self,
-        pieces: range,
-        seen_from: Float[ndarray, "3"],
-        poses: Float[ndarray, "pieces 3"],
-        drive: Float[ndarray, "frames 3"],
-        far: bool,
-    ) -> Field:
-        """What some pieces of the drive saw.
+    def patch(self, seen_from: Float[ndarray, "3"]) -> "Patch":
+        """An empty local map, in the frame of a pose (m, m, rad)."""
+        return Patch(self, Mapper(self._robot, self._model), seen_from)
+
+    def own(self, k: int, far: bool) -> Field:
+        """What a piece alone saw, as seen from its own pose.
 
         Args:
-            pieces: which.
-            seen_from: pose whose frame the map is in, m, m, rad.
-            poses: of all pieces.
-            drive: poses of all frames by odometry alone, for the way within a piece.
+            k: which.
             far: whether the echoes beyond the network's reach are told as well.
         """
-        frames, at = self._posed(pieces, seen_from, poses, drive)
-        mapper = Mapper(self._robot, self._model)
-        mapper.add([Frame(f.stamp, pose, f.ranges, None, f.mounts) for f, pose in zip(frames, at, strict=True)])
-        grid = mapper.grid()
+
+        def made() -> Field:
+            patch = self.patch(np.zeros(3))
+            if far:
+                patch.pieces = range(k, k + 1)
+                return patch.farther(self.own(k, False), np.zeros((k + 1, 3)))
+            patch.add(range(k, k + 1), np.zeros((k + 1, 3)))
+            return patch.field(np.zeros((k + 1, 3)), False)
+
+        return _kept(self._own, (k, far), MOST_OWN, made)
+
+    def forget_ways(self) -> None:
+        """Take the ways within pieces from the drive as it is by now, and make what they alone saw anew."""
+        self._own.clear()
+        self._way.clear()
+
+    def keep(self, number: dict[int, int]) -> None:
+        """Go on with some of the pieces: their numbers from now on, by those that they had."""
+        self._read = {number[k]: each for k, each in self._read.items() if k in number}
+        self._way = {number[k]: each for k, each in self._way.items() if k in number}
+        self._own = {(number[k], far): each for (k, far), each in self._own.items() if k in number}
+
+    def piece(self, k: int) -> _Read:
+        """What a piece says."""
+
+        def read() -> _Read:
+            first, (begin, end, _) = self._cut[max(0, k - WARM)].first, self._cut[k]
+            views = self._model.views(self._robot, self._frames[first:end], begin - first)
+            return _Read(views, far_echoes(self._frames[begin:end], self._robot))
+
+        return _kept(self._read, k, MOST_READ, read)
+
+    def way(self, k: int) -> Float[ndarray, "own 3"]:
+        """Poses of the frames of a piece, as seen from its own."""
+        if k not in self._way:
+            piece = self._cut[k]
+            self._way[k] = compose(inverse(self.drive[piece.middle]), self.drive[piece.first : piece.end])
+        return self._way[k]
+
+    @property
+    def beam_width_rad(self) -> float:
+        """Of the sonars."""
+        return self._robot.beam_width_rad
+
+
+class Patch:
+    """A local map in the making."""
+
+    def __init__(self, maps: LocalMaps, mapper: Mapper, seen_from: Float[ndarray, "3"]):
+        self._maps, self._mapper, self._to = maps, mapper, inverse(seen_from)
+        self.pieces = range(0)
+        """Those that it holds."""
+
+    def add(self, pieces: range, poses: Float[ndarray, "_ 3"]) -> None:
+        """Add pieces of a drive, the first, or those that follow what it holds; with the poses of all."""
+        at = compose(self._to, poses[pieces.start : pieces.stop])
+        for k, pose in zip(pieces, at, strict=True):
+            self._mapper.fuse(self._maps.piece(k).views.at(compose(pose, self._maps.way(k))))
+        self.pieces = range(self.pieces.start if self.pieces else pieces.start, pieces.stop)
+
+    def field(self, poses: Float[ndarray, "_ 3"], far: bool) -> Field:
+        """What it says now; with far echoes besides, which its pieces heard at poses."""
+        grid = self._mapper.grid()
         field = Field(np.where(grid.observed, 2 * sigmoid(grid.log_odds) - 1, 0.0), grid.origin, grid.resolution)
-        return with_far_echoes(field, frames, at, self._robot) if far else field
+        return self.farther(field, poses) if far else field
 
-    def farther(
-        self,
-        field: Field,
-        pieces: range,
-        seen_from: Float[ndarray, "3"],
-        poses: Float[ndarray, "pieces 3"],
-        drive: Float[ndarray, "frames 3"],
-    ) -> Field:
-        """What ``of`` told of some pieces, and their far echoes besides; arguments as there."""
-        return with_far_echoes(field, *self._posed(pieces, seen_from, poses, drive), self._robot)
-
-    def _posed(
-        self,
-        pieces: range,
-        seen_from: Float[ndarray, "3"],
-        poses: Float[ndarray, "pieces 3"],
-        drive: Float[ndarray, "frames 3"],
-    ) -> tuple[Sequence[Frame], Float[ndarray, "own 3"]]:
-        """The frames of some pieces, and where they are as seen from a pose."""
-        frames = self._frames[self._cut[pieces.start].first : self._cut[pieces.stop - 1].end]
-        return frames, compose(inverse(seen_from), np.concatenate([self._within(k, poses, drive) for k in pieces]))
-
-    def _within(
-        self, k: int, poses: Float[ndarray, "pieces 3"], drive: Float[ndarray, "frames 3"]
-    ) -> Float[ndarray, "own 3"]:
-        piece = self._cut[k]
-        return compose(poses[k], compose(inverse(drive[piece.middle]), drive[piece.first : piece.end]))
+    def farther(self, field: Field, poses: Float[ndarray, "_ 3"]) -> Field:
+        """What ``field`` said without far echoes, and those besides."""
+        far = [self._maps.piece(k).far for k in self.pieces]
+        places = compose(self._to, poses[self.pieces.start : self.pieces.stop])
+        at = [
+            each.at(compose(pose, self._maps.way(k))) for k, pose, each in zip(self.pieces, places, far, strict=True)
+        ]
+        ranges = np.concatenate([each.ranges for each in far])
+        return with_far_echoes(field, np.concatenate(at), ranges, self._maps.beam_width_rad)
 
 
 def spread_over(

@@ -15,20 +15,21 @@ from echogrid.frame import Frame
 from echogrid.geometry import compose, inverse, wrap
 from echogrid.position import bends, walls
 from echogrid.position.graph import Edges, Solution, chi2, joined, residuals, solve
-from echogrid.position.matching import FAIR, Field, Match, Target, match, seen
+from echogrid.position.matching import FAIR, Field, Match, Seen, Target, match, seen
 from echogrid.position.motion import PARAMETERS, Drift, chained, corrected, lengths, steps
-from echogrid.position.pieces import LocalMaps, pieces, spread_over
+from echogrid.position.pieces import LocalMaps, Patch, pieces, spread_over
 from echogrid.robot import Robot
 
-BEFORE, ANCHOR = 12, 4
-"""A piece is matched to the map of so many pieces before it, and its pose is told from the one so many before it."""
+BEFORE, ANCHOR, GROWN = 12, 4, 4
+"""A piece is matched to the map of so many pieces before it, and its pose is told from the one so many before it. The
+map grows by as many pieces as the last before it is made anew."""
 
 CHAIN = np.array([7.0, 4.0, 10.0])
 """What the spread of such matches is multiplied with, along, across, heading: those that follow each other overlap
 and err alike, along a corridor and in heading above all."""
 
-CHAIN_SHARE = 0.3
-"""Of a piece's points on known ground that such a match needs."""
+CHAIN_SHARE, CHAIN_POSES = 0.3, 9
+"""Of a piece's points on known ground that such a match needs, and along an axis how many poses it looks at."""
 
 LOOP_GAP, LOOP_EVERY, LOOP_REACH_M, LOOPS = 20, 2, 6.0, 2
 """A loop is closed to pieces at least so many before, looked for at every second piece, at most so far away, to at
@@ -60,8 +61,12 @@ SOLVE_EVERY, SOLVE_ROUNDS = 2, 4
 
 UNFAIR, UNSURE = 0.0, 0.25
 """If more of the loops than the last were looked for widely, the drive is placed once more with this in place of
-``matching.FAIR`` for those, all matches of both are made again with what is known at the end, and the drive is kept
-whose places lie together best."""
+``matching.FAIR`` for those, all matches are made again with what is known at the end, and the drive is kept whose
+places lie together best."""
+
+NEARLY, SHARPER, MOST_AGAIN = 0.8, 1.1, 2
+"""Matches of a drive are made again if it lies together nearly as well as the other. The one that is kept is made
+again as long as its places lie together so much better each time, so often at most."""
 
 TRUST_ROUNDS, TRUST_EDGES, LEAST_TRUST = 12, 100, 0.05
 """Steps in which the error of odometry is found, from how many pieces, and the least of its drift that it has."""
@@ -98,10 +103,8 @@ def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], o
     odometry = np.array([frame.pose for frame in frames], dtype=float)
     drive = _placed(Drive(frames, odometry, robot), progress)
     if drive.unsure:
-        other = _placed(Drive(frames, odometry, robot, UNFAIR), progress)
-        for each in (drive, other):
-            each.again()
-        drive = max(drive, other, key=Drive.sharpness)
+        other = _placed(Drive(frames, odometry, robot, UNFAIR, drive), progress)
+        drive = _sharper(drive, other)
     drive.trust()
     poses = spread_over(drive.cut, drive.poses, drive.by_odometry)
     poses = compose(odometry[0], compose(inverse(poses[0]), poses))
@@ -116,6 +119,23 @@ def _placed(drive: "Drive", progress: Callable[[int, int], object] | None) -> "D
         drive.place(k)
         if progress:
             progress(k + 1, drive.count)
+    return drive
+
+
+def _sharper(*drives: "Drive") -> "Drive":
+    """The drive whose places lie together best, its matches made again as long as that brings them nearer."""
+    before = [drive.sharpness() for drive in drives]
+    for drive, sharp in zip(drives, before, strict=True):
+        if sharp > NEARLY * max(before):
+            drive.again()
+    now = [drive.sharpness() for drive in drives]
+    best = int(np.argmax(now))
+    drive, was, sharp = drives[best], before[best], now[best]
+    for _ in range(MOST_AGAIN):
+        if sharp < SHARPER * was:
+            break
+        drive.again()
+        was, sharp = sharp, drive.sharpness()
     return drive
 
 
@@ -147,7 +167,12 @@ class Drive:
     """A drive whose pieces are placed one after the other; all that were placed before move with each."""
 
     def __init__(
-        self, frames: Sequence[Frame], odometry: Float[ndarray, "frames 3"], robot: Robot, fair: float = FAIR
+        self,
+        frames: Sequence[Frame],
+        odometry: Float[ndarray, "frames 3"],
+        robot: Robot,
+        fair: float = FAIR,
+        like: "Drive | None" = None,
     ):
         """A drive of which no piece is placed but the first.
 
@@ -156,6 +181,7 @@ class Drive:
             odometry: their poses by odometry, m, m, rad.
             robot: that drove.
             fair: what new ground counts in loops that are looked for widely, see ``matching.FAIR``.
+            like: the same drive, of which is taken what was found before pieces were placed.
         """
         self._fair, self._looked = fair, [0, 0]
         self._step = self._told = steps(odometry)
@@ -166,15 +192,22 @@ class Drive:
         self.matches: list[MatchEdge] = []
         self._drift, self._trust = Drift(), np.ones(3)
         self._rng = np.random.default_rng(0)
-        self._maps = LocalMaps(frames, self.cut, robot)
-        self._walls: dict[int, Float[ndarray, "points 2"]] = {}
+        self._maps = like._maps if like else LocalMaps(frames, self.cut, robot)
+        self._near: tuple[int, Patch] | None = None
+        self._sought: dict[range, tuple[Seen, bool]] = {}
+        self._walls: dict[int, Float[ndarray, "points 2"]] = like._walls if like else {}
+        self._seen: dict[int, tuple[Seen, bool]] = like._seen if like else {}
         self._headings: dict[int, float] = {}
         self._compass: float | None = None
         self._solution: Solution | None = None
         self._correct()
-        self._bias = self._bends()
+        if like:
+            self._bias, self._points = like._bias, like._points
+        else:
+            self._bias = self._bends()
         self._step = corrected(self._step, np.array([0.0, self._bias, 0.0]))
         self._correct()
+        self._maps.forget_ways()
         self._information = self._odometry_information()
 
     def place(self, k: int) -> None:
@@ -192,7 +225,7 @@ class Drive:
         """Make all matches anew, with maps by what is known now of poses and odometry."""
         if self._solution is None:
             return
-        self.matches, self._walls = [], {}
+        self.matches, self._near = [], None
         for k in range(1, self.count):
             self._follow(k)
             if k % LOOP_EVERY == 0:
@@ -261,6 +294,7 @@ class Drive:
     def _correct(self) -> None:
         """Work out what odometry says with the parameters as they are now."""
         between, self.by_odometry = self._between(self.parameters)
+        self._maps.drive = self.by_odometry
         self._measured = between
         self._by = np.zeros((self.count - 1, 3, PARAMETERS))
         small = 1e-4
@@ -320,46 +354,76 @@ class Drive:
         k: int,
         own: range,
         to: int,
-        target: range,
+        target: Patch,
         covariance: ndarray,
         points: int = POINTS,
-        at_first: float = FAIR,
-        **lattice: int,
+        count: int = 11,
+        wide: bool = False,
     ) -> Match | None:
-        """Match what the pieces ``own`` saw from k to the map of the pieces ``target`` from ``to``."""
-        near = self._maps.of(own, self.poses[k], self.poses, self.by_odometry, False)
+        """Match what the pieces ``own`` saw from k to a map in the frame of piece ``to``."""
+        what, far = self._what(k, own, points)
+        if what.strength < 0.05:
+            return None
+        field = target.field(self.poses, far)
+        guess = compose(inverse(self.poses[to]), self.poses[k])
+        return match(Target(field), what, guess, covariance, count, wide, self._fair)
+
+    def _what(self, k: int, own: range, points: int) -> tuple[Seen, bool]:
+        """So many points at most of what pieces saw, from k, and whether there are far echoes among them."""
+        if own == range(k, k + 1):
+            if k not in self._seen:
+                self._seen[k] = self._chosen(self._own(k, False), points, lambda _: self._own(k, True))
+            return self._seen[k]
+        if own not in self._sought:
+            patch = self._maps.patch(self.poses[k])
+            patch.add(own, self.poses)
+            near = patch.field(self.poses, False)
+            self._sought[own] = self._chosen(near, points, lambda near: patch.farther(near, self.poses))
+        return self._sought[own]
+
+    def _chosen(self, near: Field, points: int, farther: Callable[[Field], Field]) -> tuple[Seen, bool]:
         what = seen(near, points, self._rng)
         # Where little is near the echoes from far off are all that there is.
         far = what.strength < 0.5
-        if far:
-            farther = self._maps.farther(near, own, self.poses[k], self.poses, self.by_odometry)
-            what = seen(farther, points, self._rng)
-        if what.strength < 0.05:
-            return None
-        field = self._maps.of(target, self.poses[to], self.poses, self.by_odometry, far)
-        guess = compose(inverse(self.poses[to]), self.poses[k])
-        return match(Target(field), what, guess, covariance, at_first=at_first, **lattice)
+        return (seen(farther(near), points, self._rng) if far else what), far
 
     def _follow(self, k: int) -> None:
         """Match a piece to the map of those before it."""
-        to = max(0, k - ANCHOR)
-        found = self._match(k, range(k, k + 1), to, range(max(0, k - BEFORE), k), self._drifted(to, k))
+        to, patch = self._before(k)
+        found = self._match(k, range(k, k + 1), to, patch, self._drifted(to, k), count=CHAIN_POSES)
         if found and found.share > CHAIN_SHARE:
             self.matches.append(MatchEdge(to, k, found.pose, found.information / np.outer(CHAIN, CHAIN), False))
+
+    def _before(self, k: int) -> tuple[int, Patch]:
+        """The map of the pieces before one, and the piece in whose frame it is."""
+        if self._near is None or not self._near[0] + ANCHOR <= k < self._near[0] + ANCHOR + GROWN:
+            to = max(0, k - ANCHOR)
+            self._near = to, self._maps.patch(self.poses[to])
+            begin = max(0, k - BEFORE)
+        else:
+            begin = self._near[1].pieces.stop
+        to, patch = self._near
+        patch.add(range(begin, k), self.poses)
+        return to, patch
 
     def _close_loops(self, k: int) -> None:
         """Match a piece to the maps of places where the robot may have been long before."""
         distance = np.hypot(*(self.poses[: max(0, k - LOOP_GAP), :2] - self.poses[k, :2]).T)
+        self._sought.clear()
         tried: list[int] = []
+        too_far: list[int] = []
         for j in np.argsort(distance).tolist():
             if len(tried) == LOOPS or distance[j] > LOOP_REACH_M:
                 break
-            if any(abs(j - other) < BEFORE for other in tried):
+            # Those near one that is too far off are farther off and known no worse.
+            if any(abs(j - other) < BEFORE for other in tried) or any(abs(j - other) < ANCHOR for other in too_far):
                 continue
             covariance = self._relative(j, k)
             if distance[j] <= 1.5 + 2 * np.sqrt(np.max(np.linalg.eigvalsh(covariance[:2, :2]))):
                 tried.append(j)
                 self._close_loop(j, k, covariance)
+            else:
+                too_far.append(j)
 
     def _close_loop(self, j: int, k: int, covariance: Float[ndarray, "3 3"]) -> None:
         """Match a piece to the map round another; more of the drive, and more widely, where the pose is less sure or
@@ -367,7 +431,8 @@ class Drive:
         """
         self._looked[0] += 1
         spread = np.sqrt(np.diag(covariance))
-        target = range(max(0, j - 8), min(j + 9, k - LOOP_GAP // 2))
+        target = self._maps.patch(self.poses[j])
+        target.add(range(max(0, j - 8), min(j + 9, k - LOOP_GAP // 2)), self.poses)
         if np.max(spread[:2]) <= WIDE_M and spread[2] <= WIDE_RAD:
             found = self._match(k, range(max(0, k - 2), k + 1), j, target, covariance)
             if found is None or found.share < LOOP_SHARE:
@@ -376,11 +441,9 @@ class Drive:
                 self.matches.append(MatchEdge(j, k, found.pose, found.information, True))
                 return
             covariance = covariance + np.diag(DOUBTED**2)
-            spread = np.sqrt(np.diag(covariance))
-        count = int(np.clip(np.max(spread[:2]) / 0.03, 11, 25))
         own = range(max(0, k - 8), k + 1)
         self._looked[1] += 1
-        found = self._match(k, own, j, target, covariance, WIDE_POINTS, levels=3, count=count, at_first=self._fair)
+        found = self._match(k, own, j, target, covariance, WIDE_POINTS, wide=True)
         if found and found.share >= LOOP_SHARE and _fits(found):
             self.matches.append(MatchEdge(j, k, found.pose, found.information, True))
 
@@ -404,7 +467,7 @@ class Drive:
 
     def _own(self, k: int, far: bool) -> Field:
         """What a piece alone saw, in its own frame."""
-        return self._maps.of(range(k, k + 1), self.poses[k], self.poses, self.by_odometry, far)
+        return self._maps.own(k, far)
 
     def _walls_from(self, m: int, k: int) -> Float[ndarray, "points 2"]:
         """Surface points of piece k as seen from piece m."""

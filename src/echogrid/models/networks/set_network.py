@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple, override
 
@@ -68,6 +68,11 @@ class SetNetwork(Model):
     p_min = 0.005
     """It is calibrated: of cells of which it says 0.02 or less, about one in a thousand holds a surface."""
 
+    @cached_property
+    def core(self) -> _core.SetNetwork:
+        """It in the compiled core."""
+        return set_core.network(self.weights, self.around)
+
     def __repr__(self) -> str:
         values = [*self.weights.values(), *(self.around or {}).values()]
         return f"SetNetwork({self.name!r}, {sum(map(np.size, values))} weights)"
@@ -79,6 +84,13 @@ class SetNetwork(Model):
     @override
     def fusion(self, robot: Robot, resolution: float, half_life: float | None = None) -> Fusion:
         return _Sums(robot, self, half_life)
+
+    def views(self, robot: Robot, frames: Sequence[Frame], skip: int = 0) -> "Views":
+        """Read scans of a robot that follow each other, but the first so many: these are only remembered.
+
+        Ranges are those that ``Robot.clean`` leaves.
+        """
+        return _Sums(robot, self, None).views(frames, skip)()
 
     def save(self, path: str | Path) -> None:
         """Write the weights and their recipe (NPZ, no pickle)."""
@@ -143,6 +155,27 @@ class _Told(NamedTuple):
     """What is sure to have been under it, m."""
 
 
+@dataclass(frozen=True)
+class Views:
+    """Scans that were read; what they tell is added to a map from wherever they are taken to have been made."""
+
+    tables: _core.PolarTables
+    weight: Float[ndarray, "scans"]
+    stamp: float
+    epoch: float
+    radius: float
+    """See ``_Told``."""
+    cell_m: float
+    side: int
+    """Of a scan's patch, cells."""
+
+    def at(self, poses: Float[ndarray, "scans 3"]) -> Evidence:
+        """What they tell if they were made at poses, m, m, rad."""
+        at = placed(poses, self.side, self.cell_m)
+        add = partial(self.tables.add, at.centre, at.theta, at.first, self.weight, self.cell_m)
+        return Evidence(at.corner, at.end, _Told(add, self.stamp, self.epoch, poses[:, :2], self.radius))
+
+
 class _Sums(Fusion):
     """Evidence is summed window by window, and read out where somebody looks; it fades if it is asked to."""
 
@@ -150,7 +183,7 @@ class _Sums(Fusion):
         self.blank = dict.fromkeys((*SUMS, "stood"), np.float32(0)[...]) | {"views": np.int32(0)[...]}
         self.cell_m = cell = network.cell_m
         self._network, self._half_life = network, half_life
-        self._core = set_core.network(network.weights, network.around)
+        self._core = network.core
         self._least = 0.0 if half_life is None else FORGOTTEN
         self._side = int(np.ceil(2 * REACH_M / cell)) + 2
         self.reach_cells = self._side
@@ -180,6 +213,11 @@ class _Sums(Fusion):
 
     @override
     def read(self, batch: Sequence[Frame], filled: bool = False) -> Callable[[], Evidence]:
+        views, poses = self.views(batch), np.array([frame.pose for frame in batch])
+        return lambda: views().at(poses)
+
+    def views(self, batch: Sequence[Frame], skip: int = 0) -> Callable[[], Views]:
+        """Note a batch; what is returned works out, in any thread, what its scans say, but for the first so many."""
         batch, new = self._recent.completed(batch)
         stamps, poses = np.array([frame.stamp for frame in batch]), np.array([frame.pose for frame in batch])
         ranges = np.array([frame.ranges for frame in batch])
@@ -190,17 +228,17 @@ class _Sums(Fusion):
                 self._epoch = float(stamps[0])
             # Rather than let all that was summed fade, what is new counts more.
             weight = weight * np.exp2((stamps - self._epoch) / self._half_life).astype(np.float32)
-        array, mounts = self._array, self._mounts(batch)
+        array, mounts = self._array, self._mounts(batch[skip:])
         if mounts is not None and not self._ends and ends_within(mounts, self.robot.max_ranges_m):
             array = self._array_of(True)
-        at = placed(poses, self._side, self._network.cell_m)
-        place = at.centre, at.theta, at.first, weight, self._network.cell_m
+        ranges, traits, weight = ranges[skip:], recalled.traits[skip:], weight[skip:]
         stamp, epoch = float(stamps.max()), self._epoch
         radius = STOOD_SHARE * self.robot.footprint_radius_m
+        cell_m, side = self._network.cell_m, self._side
 
-        def work() -> Evidence:
-            tables = self._core.tables(array, ranges, recalled.traits, mounts)
-            return Evidence(at.corner, at.end, _Told(partial(tables.add, *place), stamp, epoch, poses[:, :2], radius))
+        def work() -> Views:
+            tables = self._core.tables(array, ranges, traits, mounts)
+            return Views(tables, weight, stamp, epoch, radius, cell_m, side)
 
         return work
 
