@@ -9,7 +9,7 @@ import pytest
 from echogrid.errors import UsageError
 from peers.fastdds import peer
 
-dds = pytest.importorskip("echogrid.live.dds", reason="found no cyclonedds")
+participant = pytest.importorskip("echogrid.live.participant", reason="found no cyclonedds")
 
 LISTEN = Path(__file__).parents[1] / "peers" / "listen.py"
 needs_peer = pytest.mark.skipif(peer.missing() is not None, reason=f"Fast DDS peer: {peer.missing()}")
@@ -18,16 +18,16 @@ needs_peer = pytest.mark.skipif(peer.missing() is not None, reason=f"Fast DDS pe
 @pytest.mark.parametrize("name", ["", "map", "/", "/a//b", "/1a", "/a b", "/a/", "/ä", "/" + "a" * 300])
 def test_a_name_that_is_none_of_ros_is_an_error(name):
     with pytest.raises(UsageError, match=r"live: found the topic .*, expected a name such as"):
-        dds.dds_topic(name)
+        participant.dds_topic(name)
 
 
 def test_an_interface_that_is_not_there_is_an_error():
     with pytest.raises(UsageError, match=r"live: found no interface 'wlan77', expected any or one of .*lo"):
-        dds.configuration("wlan77")
+        participant.configuration("wlan77")
 
 
 def test_loopback_is_the_only_interface_in_its_configuration():
-    text = dds.configuration("lo")
+    text = participant.configuration("lo")
     assert text.count("<NetworkInterface ") == 1
     assert 'name="lo"' in text
 
@@ -35,7 +35,7 @@ def test_loopback_is_the_only_interface_in_its_configuration():
 def test_any_means_all_interfaces_and_loopback_where_there_is_none_else(monkeypatch):
     for names, expected in ((["lo", "eth0", "wlan0"], ["eth0", "wlan0"]), (["lo"], ["lo"])):
         monkeypatch.setattr("socket.if_nameindex", lambda names=names: list(enumerate(names)))
-        text = dds.configuration("any")
+        text = participant.configuration("any")
         assert re.findall(r'name="(\w+)"', text) == expected
 
 

@@ -13,15 +13,17 @@ from echogrid.cli.live import Live
 from echogrid.cli.localise import Localise
 from echogrid.cli.maps import Map, Score
 from echogrid.cli.planning import Explore, Plan
+from echogrid.cli.robot import SimulatedRobot
 from echogrid.cli.simulation import Scan, Simulate, Train
 
-Command = Map | Localise | Plan | Explore | Live | Simulate | Scan | Train | Export | Score | Info
+Command = Map | Localise | Plan | Explore | SimulatedRobot | Live | Simulate | Scan | Train | Export | Score | Info
 
 COMMANDS: dict[str, Callable[..., Command]] = {
     "map": Map,
     "localise": Localise,
     "plan": Plan,
     "explore": Explore,
+    "robot": SimulatedRobot,
     "live": Live,
     "simulate": Simulate,
     "scan": Scan,

@@ -48,7 +48,7 @@ def completion(shell: list[str], commands: Mapping[str, Any]) -> str:
     for command, kind in commands.items():
         found = _options(kind)
         values += [f'    "{command} {name}") words="{" ".join(words)}" ;;' for name, words in found.items() if words]
-        first = " ".join(world_names()) if command in ("simulate", "scan", "explore") else ""
+        first = " ".join(world_names()) if command in ("simulate", "scan", "explore", "robot") else ""
         options.append(f'      {command}) options="{" ".join([*found, "--help"])}" words="{first}" ;;')
     filled = _SCRIPT % {"values": "\n".join(values), "options": "\n".join(options), "commands": " ".join(commands)}
     return (_ZSH if shell == ["zsh"] else "") + filled

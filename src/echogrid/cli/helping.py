@@ -37,6 +37,10 @@ echogrid plan plan.yaml --robot my-robot.yaml --from=-1.5,2 --to 6.5,3
 echogrid explore corridor --robot b21              # look at explored/map.png, or explored/map.html
 echogrid explore my-building.yaml --robot my-robot.yaml --walls smooth --seed 3
 """,
+    "robot": """
+echogrid robot corridor --robot b21                # a robot that hears /cmd_vel; Ctrl-C ends it
+echogrid robot my-building.yaml --robot p3dx --speed 4 --out drive.csv
+""",
     "info": """
 echogrid info drive.bag
 echogrid info drive.csv --robot p3dx
@@ -44,6 +48,7 @@ echogrid info drive.csv --robot p3dx
     "live": """
 echogrid live --out house                          # nodes of this machine that talk on loopback
 echogrid live --interface eth0 --domain 7
+echogrid live --slam --explore                     # sends a robot of Nav2 to what is not known yet
 """,
     "simulate": """
 echogrid simulate corridor --robot p3dx --out drive.csv

@@ -3,12 +3,10 @@
 import os
 import pickle
 import re
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Generator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Thread
@@ -19,6 +17,8 @@ from numpy import ndarray
 from tyro.conf import OmitArgPrefixes, arg
 
 from echogrid.cli.arguments import Ros, check_map, drop, start_pose
+from echogrid.cli.driving import Explores
+from echogrid.cli.network import domain_of, interface_of, stopped, where
 from echogrid.errors import EchogridError, UsageError, escaped
 from echogrid.extras import need
 from echogrid.files import made
@@ -65,6 +65,7 @@ class Live:
     """With --slam or --map: the frame of the map."""
     transform_tolerance: Annotated[float, arg(metavar="S")] = 1.0
     """With --slam or --map: how long after its scan map -> odom holds, s."""
+    explores: Annotated[Explores, OmitArgPrefixes] = field(default_factory=Explores)
     ros: Annotated[Ros, OmitArgPrefixes] = field(default_factory=Ros)
     out: Path = Path("out")
     """Folder for the map."""
@@ -90,7 +91,7 @@ class Live:
 
     def run(self) -> None:
         """Map until stopped."""
-        domain = self._check()
+        domain, drives = self._check(), self.explores.drives(self.map is not None)
         need("live", "ros2")
         from echogrid.live.dds import Network
         from echogrid.live.live_map import Settings
@@ -110,12 +111,15 @@ class Live:
             choice, self.resolution, fades, self.local_side, self.slam, known, start, self.map_frame,
             self.transform_tolerance,
         )  # fmt: skip
-        mapping = Mapping(model, settings)
+        mapping = Mapping(model, settings, drives)
         with made(self.out), stopped() as stop:
             check_folder(self.out)
-            interface = self._interface()
-            network = Network(domain, interface, choice, self.map_topic, self.local_map_topic, known is not None)
-            _say(f"domain {domain}, {self._where(interface, network)}; {self.map_topic}, {self.local_map_topic}")
+            interface = interface_of(self.interface)
+            topics = self.map_topic, self.local_map_topic
+            network = Network(domain, interface, choice, *topics, known is not None, *self.explores.topics())
+            _say(f"domain {domain}, {where(interface, network.kept)}; {self.map_topic}, {self.local_map_topic}")
+            if drives:
+                _say(self.explores.told())
             saver = _Saver(self.out, self.save_every)
             _map(mapping, network, saver, stop, interface or "the interfaces of CYCLONEDDS_URI")
             saver.last(mapping, network)
@@ -132,12 +136,7 @@ class Live:
             raise UsageError(f"--transform-tolerance: found {self.transform_tolerance:g}, expected 0 to 60 s")
         if not re.fullmatch(r"[A-Za-z_][\w/]{0,199}", self.map_frame, re.ASCII):
             raise UsageError(f"--map-frame: found {self.map_frame!r}, expected a name of a frame such as map")
-        where, domain = "--domain", str(self.domain)
-        if self.domain is None:
-            where, domain = "ROS_DOMAIN_ID", os.environ.get("ROS_DOMAIN_ID") or "0"
-        if not domain.isdecimal() or int(domain) > 232:
-            raise UsageError(f"{where}: found {domain}, expected 0 to 232")
-        return int(domain)
+        return domain_of(self.domain)
 
     def _known(self) -> "tuple[Grid | None, Float[ndarray, '3'] | None]":
         """The map in which the robot is to be found, and where it is."""
@@ -155,18 +154,6 @@ class Live:
         if os.path.realpath(self.out) == os.path.realpath(self.map if self.map.is_dir() else self.map.parent):
             raise UsageError(f"--out: found {self.out}, the folder of the map, expected another one")
         return grid, start
-
-    def _interface(self) -> str | None:
-        return self.interface or (None if os.environ.get("CYCLONEDDS_URI") else "lo")
-
-    def _where(self, interface: str | None, network: "Network") -> str:
-        if interface is None:
-            return "network as CYCLONEDDS_URI says"
-        over = " (CYCLONEDDS_URI is passed over)" if os.environ.get("CYCLONEDDS_URI") else ""
-        if interface == "any":
-            return f"all interfaces{over}: whoever reaches this machine can send to it"
-        open_ports = "" if network.kept else ", but its UDP ports are open on all: shut the others with a firewall"
-        return f"interface {interface}{open_ports}{over}"
 
 
 def _map(mapping: "Mapping", network: "Network", saver: "_Saver", stop: list[int], where: str) -> None:
@@ -189,6 +176,8 @@ def _map(mapping: "Mapping", network: "Network", saver: "_Saver", stop: list[int
             if status != told:
                 _say(status)
             told = status
+    for last in mapping.ended():
+        network.send(last)
     for heard, topic, message in network.take():
         mapping.take(heard, topic, message, time.monotonic())
     mapping.finish()
@@ -271,24 +260,6 @@ def _write(folder: Path, snapshot: "Snapshot") -> None:
 
     write_map(folder, snapshot.grid, snapshot.path, snapshot.settings, snapshot.title)
     drop(folder)
-
-
-@contextmanager
-def stopped() -> Generator[list[int]]:
-    """A list that is empty until a signal to stop comes; a second one stops at once."""
-    signals: list[int] = []
-
-    def stop(number: int, _: object) -> None:
-        if signals:
-            raise KeyboardInterrupt
-        signals.append(number)
-
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield signals
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _say(text: str) -> None:

@@ -184,7 +184,7 @@ class Explore:
             replacing(self.out / "drive.truth.npz") as truth,
             replacing(self.out / "drive.csv") as log,
         ):
-            write_csv(log, map(_rounded, found.frames), robot.sonars)
+            write_csv(log, map(rounded, found.frames), robot.sonars)
             write_truth(truth, truth_of(world, poses))
             record.write_text(json.dumps(told | found.told(), indent=1) + "\n", encoding="utf-8")
 
@@ -196,7 +196,7 @@ class Explore:
         print(escaped(f"{self.out}/map.png, map.html, drive.csv; {self.out}/explore.json has the figures"))
 
 
-def _rounded(frame: Frame) -> Frame:
+def rounded(frame: Frame) -> Frame:
     """A frame with as many digits as a log has."""
     odom = None if frame.odom is None else np.round(frame.odom, 6)
     return Frame(round(frame.stamp, 3), np.round(frame.pose, 6), np.round(frame.ranges, 4), odom)

@@ -1,23 +1,12 @@
 """The messages and topics of ROS 2 over DDS (Cyclone DDS), with no ROS installed.
 
-What DDS exposes. A participant of DDS opens UDP ports: 7400 + 250 * domain for multicast discovery, the next but one
-or so for unicast discovery and data. Nothing of what comes in is authenticated and nothing that goes out is
-encrypted: whoever can send to these ports can publish ranges, transforms and odometry, which go into the map, and
-whoever listens can read the map. So ``Network`` keeps to loopback unless another interface is named.
-
-Cyclone DDS binds its sockets to the address 0.0.0.0 whatever interface its configuration names. On Linux ``Network``
-therefore ties them to loopback itself (SO_BINDTODEVICE), or, where another interface is named, lets the kernel drop
-what comes in through any but that and loopback (SO_ATTACH_FILTER), for the robot's own programs talk through both.
-Elsewhere than on Linux a firewall has to do this, and ``Network.kept`` is False.
+How a domain is joined, and what that exposes: ``echogrid.live.participant``. Here what others publish goes into the
+map, and whoever listens can read the map.
 
 What comes in is bounded in size (``dds_types.MAX_MESSAGE_BYTES``) and judged in ``echogrid.live.hearing``. Cyclone
 DDS itself reads the packets; a flood of them costs time and memory that nothing here can bound.
-
-The names are those by which ROS 2 puts its topics on DDS: ``/map`` is ``rt/map``.
 """
 
-import re
-import socket
 import time
 from collections import Counter
 from contextlib import suppress
@@ -27,8 +16,6 @@ from typing import Any
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 from cyclonedds.core import DDSException, InstanceState, Policy, Qos, ReadCondition, SampleState, ViewState, WaitSet
-from cyclonedds.domain import Domain, DomainParticipant
-from cyclonedds.internal import DDS
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -37,27 +24,27 @@ from echogrid.errors import UsageError
 from echogrid.live.dds_types import (
     OccupancyGrid,
     Odometry,
+    PoseStamped,
     PoseWithCovarianceStamped,
     Range,
     RangeWithVariance,
     Refused,
     TFMessage,
+    Twist,
+    goal_message,
     occupancy_grid,
     pose_message,
     tf_message,
+    twist_message,
 )
+from echogrid.live.driving import Goal, Velocity
 from echogrid.live.hearing import Heard
 from echogrid.live.live_map import Picture
+from echogrid.live.participant import dds_topic, joined
 from echogrid.live.placing import Correction, RobotPose
-from echogrid.live.sockets import keep_to, open_sockets
 from echogrid.live.tf_topics import TfTopics
 from echogrid.robot import MAX_SONARS
 from echogrid.ros.messages import Choice
-
-_MAX_SAMPLE_BYTES = 64 * 1024 * 1024
-"""What Cyclone DDS takes or sends at most, a map among it."""
-
-_LOG_FATAL, _MULTICAST = 1, ' multicast="true"'
 
 _DEPTH = 4_000
 """Messages of a topic that wait here at most, while a large map is read out for instance."""
@@ -92,6 +79,13 @@ LOCAL_MAP_QOS = Qos(
 )
 """To send the local map; readers that ask for less match as well."""
 
+GOAL_QOS = Qos(
+    Policy.Reliability.Reliable(max_blocking_time=0),
+    Policy.Durability.TransientLocal,
+    Policy.History.KeepLast(1),
+)
+"""To send /goal_pose: who comes late gets the last one."""
+
 TF_QOS = Qos(
     Policy.Reliability.Reliable(max_blocking_time=0),
     Policy.Durability.Volatile,
@@ -118,43 +112,6 @@ class _Reader:
     topic: str
 
 
-def dds_topic(name: str) -> str:
-    """The name on DDS of a topic of ROS 2.
-
-    Raises:
-        UsageError: no such name is allowed.
-    """
-    if not re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", name) or len(name) > 200:
-        raise UsageError(f"live: found the topic {name!r}, expected a name such as /sonar/front")
-    return f"rt{name}"
-
-
-def configuration(interface: str) -> str:
-    """The configuration of Cyclone DDS (XML) that keeps to an interface; ``any``: all that are there.
-
-    Raises:
-        UsageError: no such interface.
-    """
-    names = [name for _, name in socket.if_nameindex()]
-    if interface == "any":
-        # Whatever is up; its own programs are reached through any of them, and through loopback where it is alone.
-        chosen = [name for name in names if name != "lo"] or names
-    elif interface in names:
-        chosen = [interface]
-    else:
-        raise UsageError(f"live: found no interface {interface!r}, expected any or one of {', '.join(names)}")
-    required = "false" if interface == "any" else "true"
-    listed = "".join(
-        # Loopback can multicast, though its flags do not say so.
-        f'<NetworkInterface name="{name}" presence_required="{required}"{_MULTICAST if name == "lo" else ""}/>'
-        for name in chosen
-    )
-    return (
-        f'<CycloneDDS><Domain Id="any"><General><Interfaces>{listed}</Interfaces></General>'
-        f"<Internal><MaxSampleSize>{_MAX_SAMPLE_BYTES}B</MaxSampleSize></Internal></Domain></CycloneDDS>"
-    )
-
-
 class Network:
     """The ROS 2 topics of one domain: those that are heard and those that are sent."""
 
@@ -166,6 +123,8 @@ class Network:
         map_topic: str,
         local_topic: str,
         localises: bool = False,
+        goal_topic: str | None = None,
+        command_topic: str | None = None,
     ):
         """Join a domain.
 
@@ -176,35 +135,25 @@ class Network:
             map_topic: where the map goes, as ROS 2 names it.
             local_topic: where the local map goes.
             localises: whether /initialpose is heard, and /amcl_pose sent.
+            goal_topic: where the next place to go to is sent, if it is.
+            command_topic: where velocities are sent, if they are.
 
         Raises:
             UsageError: there is no such interface or topic, or DDS cannot be started.
         """
         self.refused: Counter[str] = Counter()
         """Messages and topics that were not taken, by reason."""
-        self.kept = False
-        """Whether the kernel lets nothing in but through the interface that was named."""
         self._choice = choice
         self._readers: dict[tuple[str, type, str], _Reader] = {}
         self._tf = TfTopics()
         self._held: list[tuple[int, Heard, str, Any]] = []
         self._sent_tf: DataWriter | None = None
         sent = [dds_topic(name) for name in (map_topic, local_topic)]
-        before = open_sockets()
-        try:
-            # None leaves it to Cyclone DDS, which looks at CYCLONEDDS_URI.
-            self._domain = Domain(domain, None if interface is None else configuration(interface))
-            if interface is not None and interface != "any":
-                self.kept = keep_to(interface, open_sockets() - before)
-            self._participant = DomainParticipant(domain)
-            if interface is not None:
-                # Each message of a stranger that Cyclone DDS cannot read would be a line on stderr.
-                DDS._dll_handle.dds_set_log_mask(_LOG_FATAL)
-        except DDSException as error:
-            found = f"DDS that does not start ({error})"
-            raise UsageError(
-                f"live: found {found}, expected a domain of 0 to 232 and an interface that is up"
-            ) from None
+        driven = [name and dds_topic(name) for name in (goal_topic, command_topic)]
+        self._joined = joined(domain, interface)
+        self.kept = self._joined.kept
+        """Whether the kernel lets nothing in but through the interface that was named."""
+        self._participant = self._joined.participant
         self._waitset = WaitSet(self._participant)
         self._discovery = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
         # Transforms first: a range that comes with them finds its pose.
@@ -218,6 +167,10 @@ class Network:
         self._map, self._local = (
             DataWriter(self._participant, Topic(self._participant, name, OccupancyGrid), qos)
             for name, qos in zip(sent, (MAP_QOS, LOCAL_MAP_QOS), strict=True)
+        )
+        self._goals, self._commands = (
+            DataWriter(self._participant, Topic(self._participant, name, kind), qos) if name else None
+            for name, kind, qos in zip(driven, (PoseStamped, Twist), (GOAL_QOS, LOCAL_MAP_QOS), strict=True)
         )
 
     def _listen(self, name: str, kind: Any, qos: Qos, heard: Heard) -> None:
@@ -311,14 +264,20 @@ class Network:
         except (UsageError, DDSException):
             self.refused["topics that cannot be listened to"] += 1
 
-    def send(self, what: Picture | Correction | RobotPose) -> None:
-        """Send a map, a local map, a transform, or where the robot is."""
+    def send(self, what: Picture | Correction | RobotPose | Goal | Velocity) -> None:
+        """Send a map, a local map, a transform, where the robot is, where it is to go, or how fast to drive."""
         with suppress(DDSException):  # a reader that takes nothing costs the others no more than this message
             if isinstance(what, Correction):
                 self._transforms().write(tf_message(what))
             elif isinstance(what, RobotPose):
                 if self._poses is not None:
                     self._poses.write(pose_message(what))
+            elif isinstance(what, Goal):
+                if self._goals is not None:
+                    self._goals.write(goal_message(what))
+            elif isinstance(what, Velocity):
+                if self._commands is not None:
+                    self._commands.write(twist_message(what))
             else:
                 (self._local if what.local else self._map).write(occupancy_grid(what))
 

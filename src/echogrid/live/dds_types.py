@@ -4,7 +4,7 @@ The names are those by which ROS 2 puts its types on DDS: ``nav_msgs/msg/Occupan
 ``nav_msgs::msg::dds_::OccupancyGrid_``, all structs are final.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from math import cos, sin
 from struct import Struct
@@ -13,9 +13,13 @@ from typing import Any
 import numpy as np
 from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl.types import array, float32, float64, int8, int32, sequence, uint8, uint32
+from jaxtyping import Float
+from numpy import ndarray
 
+from echogrid.live.driving import Goal, Velocity
 from echogrid.live.live_map import Picture
 from echogrid.live.placing import Correction, RobotPose
+from echogrid.robot import Robot
 
 MAX_MESSAGE_BYTES = 256 * 1024
 """A longer message is refused: room for about 2,000 transforms."""
@@ -111,7 +115,8 @@ PoseWithCovariance = _message("geometry_msgs/PoseWithCovariance", pose=Pose, cov
 PoseWithCovarianceStamped = _bounded(
     _message("geometry_msgs/PoseWithCovarianceStamped", header=Header, pose=PoseWithCovariance)
 )
-Twist = _message("geometry_msgs/Twist", linear=Vector3, angular=Vector3)
+PoseStamped = _message("geometry_msgs/PoseStamped", header=Header, pose=Pose)
+Twist = _bounded(_message("geometry_msgs/Twist", linear=Vector3, angular=Vector3))
 TwistWithCovariance = _message("geometry_msgs/TwistWithCovariance", twist=Twist, covariance=array[float64, 36])
 Odometry = _bounded(
     _message(
@@ -131,6 +136,8 @@ what its type looks like, and ROS 2's do not."""
 
 RangeWithVariance = _bounded(_message("sensor_msgs/Range", **_RANGE, variance=float32))
 """From ROS 2 Iron on."""
+
+Clock = _message("rosgraph_msgs/Clock", clock=Time)
 
 MapMetaData = _message(
     "nav_msgs/MapMetaData", map_load_time=Time, resolution=float32, width=uint32, height=uint32, origin=Pose
@@ -170,6 +177,18 @@ def tf_message(correction: Correction) -> Any:
     return TFMessage([TransformStamped(header, correction.child, where)])
 
 
+def goal_message(goal: Goal) -> Any:
+    """The message that says where to go, as Nav2 takes it."""
+    x, y, theta = goal.pose.tolist()
+    return PoseStamped(Header(_time(goal.stamp), goal.frame), Pose(Point(x, y, 0.0), _turned(theta)))
+
+
+def twist_message(velocity: Velocity) -> Any:
+    """The message that says how fast to drive, as bases take it."""
+    speed, turn = velocity
+    return Twist(Vector3(speed, 0.0, 0.0), Vector3(0.0, 0.0, turn))
+
+
 def pose_message(told: RobotPose) -> Any:
     """The message that says where the robot is."""
     x, y, theta = told.pose.tolist()
@@ -181,6 +200,40 @@ def pose_message(told: RobotPose) -> Any:
 
 _PLANE = [0, 1, 5]
 """x, y and the heading among the six of a pose."""
+
+
+def transform_message(stamp: float, parent: str, children: Mapping[str, Float[ndarray, "3"]]) -> Any:
+    """The message that says where frames lie (m, m, rad) in another."""
+    header = Header(_time(stamp), parent)
+    return TFMessage([
+        TransformStamped(header, child, Transform(Vector3(float(x), float(y), 0.0), _turned(float(theta))))
+        for child, (x, y, theta) in children.items()
+    ])  # fmt: skip
+
+
+def odometry_message(
+    stamp: float, parent: str, child: str, pose: Float[ndarray, "3"], velocity: Float[ndarray, "2"]
+) -> Any:
+    """The message that says what wheels count: a pose (m, m, rad), and a velocity (m/s, rad/s)."""
+    (x, y, theta), (speed, turn) = pose.tolist(), velocity.tolist()
+    nothing = [0.0] * 36
+    return Odometry(
+        Header(_time(stamp), parent),
+        child,
+        PoseWithCovariance(Pose(Point(x, y, 0.0), _turned(theta)), nothing),
+        TwistWithCovariance(twist_message(Velocity(speed, turn)), nothing),
+    )
+
+
+def range_message(stamp: float, frame: str, robot: Robot, range_m: float) -> Any:
+    """The message that says a reading (m), as of ROS 2 from Iron on; earlier ones read it too."""
+    limits = robot.beam_width_rad, robot.min_range_m, robot.max_range_m
+    return RangeWithVariance(Header(_time(stamp), frame), 0, *limits, range_m, 0.0)
+
+
+def clock_message(stamp: float) -> Any:
+    """The message that says what time it is in a simulation, s."""
+    return Clock(_time(stamp))
 
 
 def _time(seconds: float) -> Any:

@@ -14,6 +14,7 @@ from numpy import ndarray
 from echogrid.doubts import Judge, Whereabouts
 from echogrid.errors import InputError, UsageError
 from echogrid.frame import Frame, show_to
+from echogrid.geometry import compose
 from echogrid.grid import Grid
 from echogrid.live.known import Known
 from echogrid.live.placing import Correction, RobotPose, Slam
@@ -151,6 +152,23 @@ class LiveMap:
         if self.placing:
             self.placing.equip()
         self._notes, self._judge = self.notes(), Judge(self.array.robot)
+
+    @property
+    def newest(self) -> float:
+        """Stamp of the newest scan in the map, s; -inf without any."""
+        return -inf if self._last is None else self._last.stamp
+
+    def in_map(self, pose: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
+        """A pose (m, m, rad) as it is told, by odometry where the robot is to be found, in the frame of the map."""
+        return compose(self.placing.correction, pose) if isinstance(self.placing, Slam) else pose
+
+    def grid(self) -> Grid:
+        """The map; it goes on to grow."""
+        return self._mapper.grid()
+
+    def around(self, pose: Float[ndarray, "3"], side_m: float) -> Grid:
+        """A square of the map round a pose in it, a copy."""
+        return self._mapper.around(float(pose[0]), float(pose[1]), side_m)
 
     @property
     def busy(self) -> bool:

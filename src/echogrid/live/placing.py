@@ -109,6 +109,16 @@ class Slam(Placing):
     def where(self) -> Float[ndarray, "3"]:
         return self._finder.pose
 
+    @property
+    def correction(self) -> Float[ndarray, "3"]:
+        """T_map_odom, m, m, rad."""
+        return self._finder.correction
+
+    @property
+    def drives(self) -> int:
+        """How many other drives began after the first."""
+        return self._finder.drives
+
     @override
     def place(self, frame: Frame) -> Frame:
         placed = replace(frame, pose=self._finder.add(frame), odom=frame.pose)

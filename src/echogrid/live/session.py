@@ -2,12 +2,14 @@
 
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from math import degrees, inf
 from typing import Any
 
 import numpy as np
 
 from echogrid.geometry import compose, inverse
+from echogrid.live.driving import Drives, Driving, Goal, Velocity
 from echogrid.live.hearing import SETTLE_S, Heard, Hearing
 from echogrid.live.known import Known
 from echogrid.live.live_map import LiveMap, Picture, Settings, Snapshot, picture_of
@@ -17,6 +19,9 @@ from echogrid.live.telling import Telling, doubts, kind_of
 from echogrid.models.networks.set_network import SetNetwork
 from echogrid.position.corrected import LEAST_SONARS
 from echogrid.ros.sonars import fixed_of
+
+Sent = Picture | Correction | RobotPose | Goal | Velocity
+"""What is to be published."""
 
 REBUILD_S = 10.0
 """Time between two changes of the array, s."""
@@ -40,12 +45,13 @@ GONE_S = 2.0
 class Live:
     """The map of a robot that drives now."""
 
-    def __init__(self, network: SetNetwork, settings: Settings):
+    def __init__(self, network: SetNetwork, settings: Settings, drives: Drives | None = None):
         """Nothing heard yet.
 
         Args:
             network: the sensor model.
             settings: what the user chose.
+            drives: how the robot explores; None: it does not.
         """
         self.settings = settings
         self._network = network
@@ -58,6 +64,7 @@ class Live:
         self._rebuild_due = self._judge_due = inf
         self._known_due = settings.known is not None
         self._telling = Telling()
+        self._driving = Driving(drives) if drives else None
         self._doubts: list[str] = []
 
     @property
@@ -96,7 +103,7 @@ class Live:
                 self._said.add(text)
                 self._notices.append(text)
 
-    def step(self, now: float) -> Iterator[Picture | Correction | RobotPose]:
+    def step(self, now: float) -> Iterator[Sent]:
         """Map what has come, and say what is to be published: to be gone through to its end.
 
         Args:
@@ -114,9 +121,23 @@ class Live:
             behind = known is not None and hearing.newest - known[1] > LAG_S
             yield from self._map.step(now, REACH_S if behind else 0.0)
             self._notices += self._map.placing.notices() if self._map.placing else ()
+            yield from self._drive(self._map, now)
         if now >= self._check_due:
             self._check_due = now + CHECK_S
             self._check(now)
+
+    def _drive(self, live_map: LiveMap, now: float) -> list[Goal | Velocity]:
+        """Where to go, or how fast to drive, where the robot explores."""
+        if self._driving is None:
+            return []
+        sent = self._driving.step(live_map, self._hearing, now)
+        self._notices += self._driving.notices
+        self._driving.notices.clear()
+        return sent
+
+    def ended(self) -> list[Goal | Velocity]:
+        """What is to be published last, before anything that takes long."""
+        return self._driving.ended() if self._driving else []
 
     def _check(self, now: float) -> None:
         """Look what was heard, and tell what is to be told."""
@@ -187,7 +208,9 @@ class Live:
 
     def snapshot(self) -> Snapshot | None:
         """The map to be saved; None if there is none yet."""
-        return None if self._map is None else self._map.snapshot(self.refused, self._doubts)
+        if self._map is None or (taken := self._map.snapshot(self.refused, self._doubts)) is None:
+            return None
+        return replace(taken, settings=taken.settings | self._driving.settings()) if self._driving else taken
 
     def status(self) -> str:
         """How it goes, in one line."""
@@ -197,6 +220,7 @@ class Live:
             array = self._map.array
             parts = [f"{self.scans} scans of {len(array.numbers)} sonars in {self._map.frame}"]
             parts += [self._map.placing.status()] if self._map.placing else []
+            parts += [self._driving.status()] if self._driving else []
             if array.silent:
                 parts.append(f"silent: {listed(array.silent)}")
         if refused := self.refused.most_common(3):

@@ -94,6 +94,8 @@ class Explorer:
 
     robot: Robot
     pace: Pace = field(default_factory=Pace)
+    turns: bool = True
+    """Whether it turns the robot round to look; somebody else who drives it does not."""
 
     def __post_init__(self) -> None:
         self.state: State = "looking"
@@ -104,7 +106,7 @@ class Explorer:
         self.left: list[Frontier] = []
         """Frontiers that remain when it is done, none of which showed anything new."""
         self._home: Float[ndarray, "2"] | None = None
-        self._turn, self._heading = 2 * np.pi, None
+        self._turn, self._heading = 2 * np.pi if self.turns else 0.0, None
         self._aside: list[_Aside] = []
         self._bumps: list[Float[ndarray, "2"]] = []
         self._back_m = 0.0
@@ -185,9 +187,7 @@ class Explorer:
             around: the map as it is now, ``around_m`` round the robot.
             pose: of the robot, m, m, rad.
         """
-        moved = 0.0 if self._last is None else float(np.linalg.norm(pose[:2] - self._last))
-        self._way_m += moved
-        self._last = pose[:2].copy()
+        moved = self.note_way(pose)
         if self.state == "done":
             return 0.0, 0.0
         if self._back_m:
@@ -204,9 +204,40 @@ class Explorer:
         room = 0.0 if cell is None else float(floor.known_m[cell]) - self.robot.footprint_radius_m
         velocity = follow(self.path, pose, room, self.pace)
         if velocity is None:
-            self._arrive()
+            self.arrived()
             return 0.0, 0.0
         return velocity if may_go(floor, pose, velocity, self.pace) else self._stop()
+
+    def note_way(self, pose: Float[ndarray, "3"]) -> float:
+        """Take down where the robot is (m, m, rad); how far it has come since it was asked last, m."""
+        moved = 0.0 if self._last is None else float(np.linalg.norm(pose[:2] - self._last))
+        self._way_m += moved
+        self._last = pose[:2].copy()
+        return moved
+
+    @property
+    def home(self) -> Float[ndarray, "2"] | None:
+        """Where it began, m; None before it has thought."""
+        return self._home
+
+    def target(self) -> Float[ndarray, "3"] | None:
+        """Where its way leads (m, m), and how it is to head there (rad); None: it has no way."""
+        if self.path is None or self.state == "done":
+            return None
+        end, goal = self.path[-1], self.goal
+        if goal is None:
+            return np.array([*end, 0.0])
+        there = float(np.linalg.norm(end - goal.place)) < SAME_M
+        heading = goal.heading if there else float(np.arctan2(*(goal.place - end)[::-1]))
+        return np.array([*end, heading])
+
+    def give_up(self) -> None:
+        """The robot does not get where it was sent."""
+        if self.state == "returning":
+            self._finish("something is in the way back")
+        elif self.goal is not None:
+            self._set_aside(self.goal)
+        self.path = None
 
     def _turned(self, heading: float) -> float:
         """Go on with a turn; its rate, rad/s."""
@@ -230,7 +261,8 @@ class Explorer:
         self.path = None
         return 0.0, 0.0
 
-    def _arrive(self) -> None:
+    def arrived(self) -> None:
+        """The robot is where its way leads."""
         self.path = None
         if self.state == "returning":
             self._finish(self.end or _KNOWN)
@@ -239,7 +271,7 @@ class Explorer:
                 return  # it has come to a place to come from
             free = self._free_near(self.goal)
             if not self._looks:
-                self._turn = 2 * np.pi
+                self._turn = 2 * np.pi if self.turns else 0.0
             else:
                 news = free >= self._free_m2 + NEW_CELLS_M2
                 again = len(self._looks) < (MOST_LOOKS if news else LEAST_LOOKS)

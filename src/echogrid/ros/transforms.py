@@ -272,7 +272,9 @@ class Transforms:
             result = pose if result is None else compose(result, pose)
         return result or IDENTITY
 
-    def pose(self, target: str, source: str, stamp: float, reach: float = 0.0) -> Float[ndarray, "3"] | None:
+    def pose(
+        self, target: str, source: str, stamp: float, reach: float = 0.0, hold: bool = False
+    ) -> Float[ndarray, "3"] | None:
         """``rigid`` in the plane: x, y (m), bearing (rad) of the source in the target, or None."""
-        found = self.rigid(target, source, stamp, reach)
+        found = self.rigid(target, source, stamp, reach, hold)
         return None if found is None else np.array(planar(found))
