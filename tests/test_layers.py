@@ -26,7 +26,7 @@ PLAN = {
     "mapping": "registry intake mapper build",
     "position": "motion graph matching echoes walls pieces bends slam forgetting growing beside online remapping "
     "odometry corrected particles beams sights usual floor localiser localise",
-    "planning": "clearance paths following frontiers explorer guiding explore",
+    "planning": "clearance paths following frontiers asides explorer guiding explore",
     "training": "drives gradient_descent paper_examples paper_training set_lessons map_lessons map_training "
     "set_training",
     "output": "trajectory graph_file folder follower map_picture scan_picture map_server_file map_file mcap_file "

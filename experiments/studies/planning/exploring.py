@@ -31,7 +31,7 @@ def explored(kind: str, number: int, walls: str, robot_name: str, peer: bool = F
     chooser, mapper = Explorer(robot), Mapper(robot)
     if peer:
         explorer.GAIN_M = explorer.TURN_M = explorer.FAITH_M = 0.0
-        explorer.DOUBTS = (0.65,)
+        explorer.LEVELS = (explorer.Level(0.65, 0.25),)
         mapper = Mapper(robot, "nav2", 0.05)
     try:
         found = Exploration(place.world, robot, start, number, mapper=mapper, explorer=chooser).run()

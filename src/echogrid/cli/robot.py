@@ -2,7 +2,7 @@
 
 import sys
 import time
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -58,6 +58,8 @@ class SimulatedRobot:
     """So many times as fast as real time; stamps go by /clock."""
     seed: int = 0
     """The same seed gives the same wheels, and the same ears."""
+    slip: Annotated[float, arg(metavar="TIMES")] = 1.0
+    """So many times as wrong as usual are its wheels (about 1 degree of heading and 3 cm after a metre); 0: exact."""
     out: Annotated[Path | None, arg(metavar="LOG")] = None
     """Write the log of its drive (CSV) in the end, with its truth beside it. Default: none."""
     interface: Annotated[str | None, arg(metavar="NAME|any")] = None
@@ -75,6 +77,8 @@ class SimulatedRobot:
         check_seed(self.seed)
         if not 0.1 <= self.speed <= MOST_SPEED:
             raise UsageError(f"--speed: found {self.speed:g}, expected 0.1 to {MOST_SPEED:g}")
+        if not 0 <= self.slip <= 10:
+            raise UsageError(f"--slip: found {self.slip:g}, expected 0 to 10")
         need("robot", "train")
         need("robot", "ros2")
         from echogrid.live.base import Base
@@ -101,14 +105,15 @@ class SimulatedRobot:
         from echogrid.live.base import AT_ONCE
         from echogrid.planning.explore import Reachable
         from echogrid.simulation.drive import start_of
-        from echogrid.simulation.vehicle import Vehicle
+        from echogrid.simulation.vehicle import Slip, Vehicle
 
         start = np.array([*start_of(world, robot.footprint_radius_m + 0.1), 0.0])
         start = start if self.start is None else start_pose(self.start)
         Reachable.of(world, robot, start[:2])  # refuses worlds with holes, and places without room
+        slip = Slip(*(self.slip * each for each in astuple(Slip())))
         for ticks in (1, AT_ONCE):
             Vehicle(world, robot, start, self.seed, self.physics).go_on(ticks)
-        return Vehicle(world, robot, start, self.seed, self.physics)
+        return Vehicle(world, robot, start, self.seed, self.physics, slip=slip)
 
     @property
     def _truth(self) -> Path:

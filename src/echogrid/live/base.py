@@ -119,11 +119,10 @@ class Base:
         x, y, theta = self.pose(vehicle.pose).tolist()
         count = vehicle.bumps
         bumps = f"{count or 'no'} {'collision' if count == 1 else 'collisions'}"
-        refused = "".join(f"; {n} x {why}" for why, n in self.refused.most_common(3))
-        return (
-            f"{vehicle.way_m:.1f} m in {vehicle.time_s:.0f} s, {bumps}, "
-            f"{max(vehicle.least_m, 0):.2f} m or more beside it; it ends {np.hypot(x, y):.2f} m and {abs(degrees(theta)):.0f} degrees from its start{refused}"
-        )
+        least = f"{max(vehicle.least_m, 0):.2f} m or more beside it"
+        drove = f"{vehicle.way_m:.1f} m in {vehicle.time_s:.0f} s, {bumps}, {least}"
+        ends = f"it ends {np.hypot(x, y):.2f} m and {abs(degrees(theta)):.0f} degrees from its start"
+        return f"{drove}; {ends}" + "".join(f"; {n} x {why}" for why, n in self.refused.most_common(3))
 
 
 def _kind(text: str) -> str:

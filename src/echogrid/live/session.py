@@ -23,6 +23,11 @@ from echogrid.ros.sonars import fixed_of
 Sent = Picture | Correction | RobotPose | Goal | Velocity
 """What is to be published."""
 
+DRIFTS = (
+    "explores by poses in {}: where that odometry drifts the map is wrong, and the robot hits what it lacks: --slam"
+)
+"""What is said where nobody corrects the odometry."""
+
 REBUILD_S = 10.0
 """Time between two changes of the array, s."""
 
@@ -249,6 +254,8 @@ class Live:
         elif self.settings.slam:
             where += f", with odometry in {fixed},"
         self._notices.append(f"{where} with {len(mounts)} sonars of {base}: {listed(mounts)}")
+        if self._driving and not self._finds and "odom" in fixed.split("/")[-1]:
+            self._say_once([DRIFTS.format(fixed)])
         hearing.begin(array)
 
     @property

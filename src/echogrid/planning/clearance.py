@@ -39,6 +39,8 @@ class Floor:
     """As EASY_M, of this robot."""
     dear: float = DEAR
     """As DEAR."""
+    free_p: float = FREE_THRESH
+    """What is occupied with less than this probability counts as free."""
 
     @staticmethod
     def of(
@@ -48,6 +50,7 @@ class Floor:
         margin_m: float = MARGIN_M,
         easy_m: float = EASY_M,
         dear: float = DEAR,
+        free_p: float = FREE_THRESH,
     ) -> "Floor":
         """The floor of a map.
 
@@ -58,6 +61,7 @@ class Floor:
             margin_m: kept besides from what is occupied.
             easy_m: see ``Floor``.
             dear: likewise.
+            free_p: likewise.
 
         Raises:
             UsageError: the map has no cell that is known to be free, or too many cells.
@@ -70,7 +74,7 @@ class Floor:
             raise UsageError(f"plan: found a map of {found}, expected at most {MOST_CELLS:.2g}; make them larger")
         rim = 1 + int(np.ceil(rim_m / grid.resolution))
         rimmed = part.part(np.array([-rim, -rim]), (part.shape[0] + 2 * rim, part.shape[1] + 2 * rim))
-        return Floor(rimmed, radius_m, margin_m, easy_m, dear)
+        return Floor(rimmed, radius_m, margin_m, easy_m, dear, free_p)
 
     @cached_property
     def occupied(self) -> Bool[ndarray, "rows cols"]:
@@ -83,8 +87,8 @@ class Floor:
 
     @cached_property
     def free(self) -> Bool[ndarray, "rows cols"]:
-        """Cells that were observed and have p < FREE_THRESH; what is neither free nor occupied is unknown."""
-        return self.grid.observed & (self.grid.log_odds < logit(FREE_THRESH))
+        """Cells that were observed and have p < free_p; what is neither free nor occupied is unknown."""
+        return self.grid.observed & (self.grid.log_odds < logit(self.free_p))
 
     @cached_property
     def gap_m(self) -> Float32[ndarray, "rows cols"]:

@@ -1,7 +1,7 @@
 """Where to go next on a map that grows, and how: until nothing is left that can be reached and is not known."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -9,6 +9,7 @@ from numpy import ndarray
 
 from echogrid.geometry import wrap
 from echogrid.grid import FREE_THRESH, Grid
+from echogrid.planning.asides import SAME_M, Asides
 from echogrid.planning.clearance import Floor
 from echogrid.planning.following import TURNED_RAD, Pace, follow, may_go, turn_by
 from echogrid.planning.frontiers import Edges, Frontier, edges
@@ -27,9 +28,19 @@ TURN_M = 0.3
 FAITH_M = 1.5
 """Metres by which another place must be better than that to which the robot is under way."""
 
-DOUBTS: tuple[float, ...] = (0.9, 0.975)
-"""What is occupied with less than the first may be a door: its posts, from afar, are heard all over it. When nothing
-else is left, so is what is occupied with less than the next."""
+
+class Level(NamedTuple):
+    """How much an explorer dares."""
+
+    door_p: float
+    """What is occupied with less than this may be a door: its posts, from afar, are heard all over it."""
+    free_p: float
+    """What is occupied with less than this is driven on."""
+
+
+LEVELS: tuple[Level, ...] = (Level(0.9, FREE_THRESH), Level(0.975, FREE_THRESH), Level(0.975, 0.4))
+"""Each is for when nothing is left by the one before. Behind a door in a mirror room too little comes back for ground
+to be surely free: the last creeps on where it is likely so, and sees more from there."""
 
 LEAST_LOOKS, MOST_LOOKS, NEAR_M, FAR_M = 4, 8, 0.7, 1.1
 """A place is come to again, from another place within FAR_M of it: looks from one and the same place tell the same.
@@ -38,11 +49,8 @@ After LEAST_LOOKS places only while something new is seen within NEAR_M, and MOS
 NEW_CELLS_M2 = 0.006
 """What has become free there by one look, at least, to be something new."""
 
-SAME_M = 0.6
-"""Frontiers so near to each other are the same, a moment later."""
-
-TRIES, BLOCKS = 2, 4
-"""A place that shows nothing new so often, or on the way to which the robot had to stop so often, is set aside."""
+BLOCKS = 4
+"""A place on the way to which the robot had to stop so often is set aside."""
 
 PAST_M = 0.3
 """A robot that has come so far since it had to stop is past that."""
@@ -75,15 +83,6 @@ State = Literal["looking", "exploring", "returning", "done"]
 
 
 @dataclass
-class _Aside:
-    """A frontier that is left alone for now."""
-
-    place: Float[ndarray, "2"]
-    tries: int
-    forgiven: bool = False
-
-
-@dataclass
 class Explorer:
     """Drives a robot through what it does not know: map and pose in, wheel velocities out.
 
@@ -107,14 +106,15 @@ class Explorer:
         """Frontiers that remain when it is done, none of which showed anything new."""
         self._home: Float[ndarray, "2"] | None = None
         self._turn, self._heading = 2 * np.pi if self.turns else 0.0, None
-        self._aside: list[_Aside] = []
+        self._asides = Asides()
         self._bumps: list[Float[ndarray, "2"]] = []
         self._back_m = 0.0
         self._last: Float[ndarray, "2"] | None = None
         self._thought_s, self._blocked, self._blocked_m = -np.inf, 0, 0.0
         self._looks: list[Float[ndarray, "2"]] = []
-        self._free_m2, self._floor, self._found = 0.0, None, None
-        self._doubt = 0
+        self._free_m2 = 0.0
+        self._view: _View | None = None
+        self._level = 0
         self._way_m, self._news = 0.0, (0.0, 0.0, 0.0)
 
     def around_m(self) -> float:
@@ -149,32 +149,40 @@ class Explorer:
         self._thought_s = stamp
         if self._home is None:
             self._home = pose[:2].copy()
-        floor = self.floor(grid)
-        self._note_news(floor, stamp)
-        at = _stand(floor, pose)
-        if at is None:
+        self._note_news(self.floor(grid), stamp)
+        views = _Views(self, grid, pose)
+        if not any(views[number] for number in range(len(LEVELS))):
             self._finish("the robot stands where by the map it cannot be")
-            return
-        found = edges(floor, self.robot, at, DOUBTS[self._doubt])
-        self._floor, self._found = floor, found
-        if self.state in ("looking", "exploring"):
-            self.state = "exploring"
-            self._choose(found, pose)
-            while self.goal is None and not self.end and self._doubt < len(DOUBTS) - 1:
-                self._doubt += 1
-                found = edges(floor, self.robot, at, DOUBTS[self._doubt])
-                self._choose(found, pose)
-            if self.goal is None:
-                self.state = "returning"
-        if self.state == "returning":
-            self.left = found.frontiers
-            self._return(floor, found)
-        elif self.goal is not None:
-            self._go(floor, found, self.goal.cell)
+        elif self.state == "returning" or not self._explore(views, pose):
+            self.state = "returning"
+            self._return(views)
 
-    def floor(self, grid: Grid) -> Floor:
+    def _explore(self, views: "_Views", pose: Float[ndarray, "3"]) -> bool:
+        """Choose where to go, daring no more than it takes; whether there is anything."""
+        self.state = "exploring"
+        if self.end:
+            return False
+        goal = self.goal
+        if goal is not None and self._level and (view := views[self._level]):  # it stays with what it dared
+            near = [one for one in view.found.frontiers if np.linalg.norm(one.place - goal.place) < SAME_M]
+            if near and not self._asides.holds(goal.place, self._level):
+                self.goal = min(near, key=lambda one: float(np.linalg.norm(one.place - goal.place)))
+                self._go(view, self.goal.cell)
+                return True
+        for number in range(len(LEVELS)):
+            view = views[number]
+            if view and (best := self._chosen(view.found, pose, number)):
+                if goal is None or np.linalg.norm(best.place - goal.place) > SAME_M:
+                    self._blocked, self._looks = 0, []
+                self.goal, self._level = best, number
+                self._go(view, best.cell)
+                return True
+        self.goal = None
+        return False
+
+    def floor(self, grid: Grid, free_p: float = FREE_THRESH) -> Floor:
         """The floor of a map, with what was touched. Walls of our maps are thicker than they are; that is margin."""
-        floor = Floor.of(grid, self.robot.footprint_radius_m, RIM_M, 0.0, EASY_M, DEAR)
+        floor = Floor.of(grid, self.robot.footprint_radius_m, RIM_M, 0.0, EASY_M, DEAR, free_p)
         for place in self._bumps:
             if (cell := floor.cell(place)) is not None:
                 floor.grid.log_odds[cell], floor.grid.observed[cell] = 5.0, True
@@ -201,11 +209,14 @@ class Explorer:
             return self._stop()
         floor = self.floor(around)
         cell = floor.cell(pose[:2])
+        # Where it dares it creeps, for there is no room that is surely free.
         room = 0.0 if cell is None else float(floor.known_m[cell]) - self.robot.footprint_radius_m
         velocity = follow(self.path, pose, room, self.pace)
         if velocity is None:
             self.arrived()
             return 0.0, 0.0
+        if self._level and (free_p := LEVELS[self._level].free_p) > FREE_THRESH:
+            floor = self.floor(around, free_p)
         return velocity if may_go(floor, pose, velocity, self.pace) else self._stop()
 
     def note_way(self, pose: Float[ndarray, "3"]) -> float:
@@ -283,18 +294,19 @@ class Explorer:
 
     def _free_near(self, frontier: Frontier) -> float:
         """Floor that is known to be free near a frontier, m2."""
-        if self._floor is None or self._found is None:
+        if self._view is None:
             return 0.0
-        cells = np.argwhere(self._floor.free)
-        near = np.linalg.norm(self._floor.grid.centre_of(cells) - frontier.place, axis=1) < NEAR_M
-        return float(np.count_nonzero(near)) * self._floor.grid.resolution**2
+        cells = np.argwhere(self._view.floor.free)
+        near = np.linalg.norm(self._view.floor.grid.centre_of(cells) - frontier.place, axis=1) < NEAR_M
+        return float(np.count_nonzero(near)) * self._view.floor.grid.resolution**2
 
     def _step_back(self, frontier: Frontier) -> bool:
         """Go to a place from which to come again; whether there is one."""
-        if self._floor is None or self._found is None:
+        if self._view is None:
             return False
-        cells = np.argwhere(self._found.reach)
-        places = self._floor.grid.centre_of(cells)
+        floor, found = self._view
+        cells = np.argwhere(found.reach)
+        places = floor.grid.centre_of(cells)
         off = np.linalg.norm(places - frontier.place, axis=1)
         fits = (off > SAME_M) & (off < FAR_M)
         if not fits.any():
@@ -302,38 +314,23 @@ class Explorer:
         cells, places = cells[fits], places[fits]
         before = np.array(self._looks)
         apart = np.min(np.linalg.norm(places[:, None] - before, axis=2), axis=1)
-        best = int(np.argmax(apart - 0.3 * self._found.to_go[tuple(cells.T)]))
+        best = int(np.argmax(apart - 0.3 * found.to_go[tuple(cells.T)]))
         row, col = cells[best].tolist()
         self._looks.append(places[best])
-        self._go(self._floor, self._found, (row, col))
+        self._go(self._view, (row, col))
         return True
 
     def _set_aside(self, frontier: Frontier) -> None:
-        for one in self._aside:
-            if np.linalg.norm(one.place - frontier.place) < SAME_M:
-                one.tries, one.forgiven = one.tries + 1, False
-                break
-        else:
-            self._aside.append(_Aside(frontier.place, 1))
+        self._asides.add(frontier.place, self._level)
         self.goal, self._blocked, self._looks = None, 0, []
 
-    def _choose(self, found: Edges, pose: Float[ndarray, "3"]) -> None:
-        """Which frontier is worth most."""
-        fresh = [frontier for frontier in found.frontiers if not self._left_alone(frontier)]
-        if not fresh:  # what was set aside once is tried again, for by now more is known around it
-            for one in self._aside:
-                one.forgiven = one.tries < TRIES and not self._doubt
-            fresh = [frontier for frontier in found.frontiers if not self._left_alone(frontier)]
-        if not fresh or self.end:
-            self.goal = None
-            return
-        best = min(fresh, key=lambda frontier: self._worth(frontier, pose))
-        if self.goal is None or np.linalg.norm(best.place - self.goal.place) > SAME_M:
-            self._blocked, self._looks = 0, []
-        self.goal = best
-
-    def _left_alone(self, frontier: Frontier) -> bool:
-        return any(not one.forgiven and np.linalg.norm(one.place - frontier.place) < SAME_M for one in self._aside)
+    def _chosen(self, found: Edges, pose: Float[ndarray, "3"], level: int) -> Frontier | None:
+        """Which frontier is worth most at a level; None: none is left."""
+        fresh = [one for one in found.frontiers if not self._asides.holds(one.place, level)]
+        if not fresh and not level:  # before it dares more
+            self._asides.forgive()
+            fresh = [one for one in found.frontiers if not self._asides.holds(one.place, level)]
+        return min(fresh, key=lambda frontier: self._worth(frontier, pose), default=None)
 
     def _worth(self, frontier: Frontier, pose: Float[ndarray, "3"]) -> float:
         """What it costs to go there less what is to be seen, m."""
@@ -343,18 +340,27 @@ class Explorer:
         under_way = self.goal is not None and np.linalg.norm(frontier.place - self.goal.place) < SAME_M
         return worth - FAITH_M if under_way else worth
 
-    def _go(self, floor: Floor, found: Edges, cell: tuple[int, int]) -> None:
-        costs = floor.known_costs
+    def _go(self, view: "_View", cell: tuple[int, int]) -> None:
+        self._view = view
         # The field leads to the robot; the way is the same backwards.
-        self.path = path_along(floor, costs, found.to_go, cell).points[::-1]
+        self.path = path_along(view.floor, view.floor.known_costs, view.found.to_go, cell).points[::-1]
 
-    def _return(self, floor: Floor, found: Edges) -> None:
-        assert self._home is not None
-        home = floor.nearest(found.reach, self._home)
-        if home is None:
+    def _return(self, views: "_Views") -> None:
+        """Go home, or as near to it as there is a way, daring no more than it takes."""
+        home, best = self._home, None
+        assert home is not None
+        for number in range(len(LEVELS)):
+            if (view := views[number]) is None or (cell := view.floor.nearest(view.found.reach, home)) is None:
+                continue
+            off = float(np.linalg.norm(view.floor.grid.centre_of(np.array(cell)) - home))
+            if best is None or off < best[0] - SAME_M:
+                best = off, number, view, cell
+        if best is None:
             self._finish("no way leads back")
             return
-        self._go(floor, found, home)
+        _, self._level, view, cell = best
+        self.left = view.found.frontiers
+        self._go(view, cell)
 
     def _note_news(self, floor: Floor, stamp: float) -> None:
         """Take down how much floor is known, and see whether that still grows."""
@@ -367,6 +373,29 @@ class Explorer:
 
     def _finish(self, why: str) -> None:
         self.state, self.end, self.path, self.goal = "done", why, None, None
+
+
+class _View(NamedTuple):
+    """What there is by a map at one level."""
+
+    floor: Floor
+    found: Edges
+
+
+class _Views:
+    """Likewise at each level, worked out when it is asked for; None where the robot could not stand by it."""
+
+    def __init__(self, explorer: Explorer, grid: Grid, pose: Float[ndarray, "3"]):
+        self._explorer, self._grid, self._pose = explorer, grid, pose
+        self._kept: dict[int, _View | None] = {}
+
+    def __getitem__(self, number: int) -> _View | None:
+        if number not in self._kept:
+            level = LEVELS[number]
+            floor = self._explorer.floor(self._grid, level.free_p)
+            at = _stand(floor, self._pose)
+            self._kept[number] = at and _View(floor, edges(floor, self._explorer.robot, at, level.door_p))
+        return self._kept[number]
 
 
 def _stand(floor: Floor, pose: Float[ndarray, "3"]) -> tuple[int, int] | None:

@@ -1,0 +1,48 @@
+"""Places that an explorer leaves alone for now: nothing new was seen there, or it did not get there."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+SAME_M = 0.6
+"""Places so near to each other are the same, a moment later."""
+
+TRIES = 2
+"""A place that was left alone so often is not tried again."""
+
+
+@dataclass
+class _Aside:
+    place: Float[ndarray, "2"]
+    tries: int
+    level: int
+    forgiven: bool = False
+
+
+class Asides:
+    """The places that are left alone, each at some level of daring and below."""
+
+    def __init__(self) -> None:
+        self._places: list[_Aside] = []
+
+    def add(self, place: Float[ndarray, "2"], level: int) -> None:
+        """Leave a place (m) alone, at a level and all below."""
+        for one in self._places:
+            if np.linalg.norm(one.place - place) < SAME_M:
+                one.tries, one.level, one.forgiven = one.tries + 1, max(one.level, level), False
+                return
+        self._places.append(_Aside(place, 1, level))
+
+    def forgive(self) -> None:
+        """Try once more what was left alone once: by now more is known around it."""
+        for one in self._places:
+            one.forgiven = one.tries < TRIES
+
+    def holds(self, place: Float[ndarray, "2"], level: int) -> bool:
+        """Whether a place (m) is left alone at a level."""
+        return any(
+            not one.forgiven and one.level >= level and np.linalg.norm(one.place - place) < SAME_M
+            for one in self._places
+        )
