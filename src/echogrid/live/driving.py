@@ -34,8 +34,11 @@ JUMP_M, JUMP_RAD, SETTLES_S = 0.1, np.deg2rad(5.0), 3.0
 FASTER, SLACK_M, SLACK_RAD = 3.0, 0.15, 0.5
 """A pose that moves so many times faster than the robot is driven, and by so much, has jumped."""
 
-STALLED_S, STALLED_M = 2.0, 0.01
-"""A robot that is driven for so long and gets no farther than this has touched something."""
+STALLED_S, STALLED_M, STALLED_RAD = 2.0, 0.01, np.deg2rad(3.0)
+"""A robot that is driven for so long and gets no farther than this has touched something, or does not obey."""
+
+GAPS = 20
+"""Times from one velocity to the next that are looked at."""
 
 REST = 10
 """Times that it is told to stand when it is done; then others may drive it."""
@@ -60,6 +63,8 @@ class Velocity(NamedTuple):
 
 
 STOP = Velocity(0.0, 0.0)
+
+REMADE = "SLAM moved the pose: the map is made anew"
 
 
 @dataclass(frozen=True)
@@ -94,9 +99,10 @@ class Driving:
 
     def _begin_anew(self) -> None:
         self._stamp, self._now, self._rest = -np.inf, -np.inf, REST
-        self._doubt, self._last = "", None
+        self._doubt, self._last, self._told_halted = "", None, False
         self._settled = -np.inf
-        self._stall: tuple[float, Float[ndarray, "2"]] | None = None
+        self._gaps: deque[float] = deque(maxlen=GAPS)
+        self._stall: tuple[float, Float[ndarray, "3"]] | None = None
         self._moved, self._said = False, ""
 
     def step(self, live_map: LiveMap, hearing: Hearing, now: float) -> list[Goal | Velocity]:
@@ -115,6 +121,7 @@ class Driving:
             return []
         if self.explorer.state == "done" and not self._doubt:
             return self._done()
+        self._keep_pace(hearing.newest - self._stamp)
         self._stamp, self._now = hearing.newest, now
         odometry = self._odometry_at(live_map, hearing)
         if odometry is not None and not self.halted:
@@ -125,7 +132,18 @@ class Driving:
             self._stall = None
             return [STOP] if self._drives.itself else []
         pose = live_map.in_map(odometry)
-        return self._driven(live_map, pose, odometry) if self._drives.itself else self._sent(live_map, pose)
+        sent = self._driven(live_map, pose, odometry) if self._drives.itself else self._sent(live_map, pose)
+        if self.explorer.state == "done":
+            self._tell_end(pose)
+        return sent
+
+    def _tell_end(self, pose: Float[ndarray, "3"]) -> None:
+        explorer = self.explorer
+        assert explorer is not None
+        home = pose[:2] if explorer.home is None else explorer.home
+        off = float(np.linalg.norm(pose[:2] - home))
+        left = f"; {len(explorer.left)} places showed nothing new" if explorer.left else ""
+        self.notices.append(f"explored: {explorer.end}; the robot stands {off:.2f} m from where it began{left}")
 
     def _keep_to(self, live_map: LiveMap) -> None:
         """Explore this map; another one, or another drive in it, is explored anew."""
@@ -141,6 +159,17 @@ class Driving:
             self._begin_anew()
         elif robot is not self._array:
             self._array, self.explorer.robot = robot, replace(robot, footprint_radius_m=radius)
+
+    def _keep_pace(self, took: float) -> None:
+        """Drive the slower the more time (s, by the robot's clock) passes from one velocity to the next.
+
+        A computer that has too much to do, or a simulation that goes faster than real time, makes it long.
+        """
+        assert self.explorer is not None
+        if 0 < took < np.inf:
+            self._gaps.append(took)
+            # What was seen has come some time ago, and the velocity holds until the next.
+            self.explorer.pace = self._drives.pace.late(2 * float(np.quantile(self._gaps, 0.8)))
 
     def _odometry_at(self, live_map: LiveMap, hearing: Hearing) -> Float[ndarray, "3"] | None:
         """Where the robot is by what is told, now; None where that is old."""
@@ -179,16 +208,19 @@ class Driving:
         if hearing.newest - live_map.newest > SILENT_S:
             return f"the map lies more than {SILENT_S:g} s behind the ranges"
         if hearing.newest < self._settled:
-            return "SLAM moved the pose: the map is made anew"
+            return REMADE
         return ""
 
     def _tell(self, doubt: str) -> None:
-        """Say why the robot stands, and when it goes on again."""
-        if doubt == self._doubt:
-            return
-        routine = "SLAM moved" in (doubt or self._doubt)  # each loop that is closed does that
-        if self._drives.itself and not routine:
-            self.notices.append(f"the robot stands: {doubt}" if doubt else "the robot goes on")
+        """Say once why the robot stands, and when it goes on again."""
+        routine = self._doubt in ("", REMADE) and doubt in ("", REMADE)  # each loop that is closed does that
+        what = ("the robot stands", "the robot goes on") if self._drives.itself else ("no goals", "goals again")
+        if not routine:
+            if doubt and (not self._doubt or (self.halted and not self._told_halted)):
+                self.notices.append(f"{what[0]}: {doubt}")
+                self._told_halted = bool(self.halted)
+            elif not doubt:
+                self.notices.append(what[1])
         self._doubt = doubt
 
     def _think(self, live_map: LiveMap, pose: Float[ndarray, "3"]) -> bool:
@@ -200,9 +232,6 @@ class Driving:
                 explorer.think(live_map.grid(), pose, self._stamp)
             except UsageError:  # nothing is known to be free yet
                 return False
-            if explorer.state == "done":
-                left = f"; {len(explorer.left)} places show nothing new" if explorer.left else ""
-                self.notices.append(f"explored: {explorer.end}{left}")
         return True
 
     def _driven(
@@ -212,13 +241,9 @@ class Driving:
         assert explorer is not None
         if not self._think(live_map, pose):
             return [STOP]
-        before = explorer.state
         velocity = Velocity(*explorer.drive(live_map.around(pose, explorer.around_m()), pose))
-        if explorer.state == "done" != before and explorer.home is not None:
-            off = float(np.linalg.norm(pose[:2] - explorer.home))
-            self.notices.append(f"explored: {explorer.end}; the robot stands {off:.2f} m from where it began")
         if self._stalls(velocity, odometry):
-            if self._moved:
+            if self._moved and velocity.speed > 0:
                 x, y = pose[:2].tolist()
                 self.notices.append(
                     f"the robot is stuck at ({x:.2f}, {y:.2f}) m: it backs off, and keeps away from there"
@@ -234,15 +259,17 @@ class Driving:
             self.notices.append(text)
 
     def _stalls(self, velocity: Velocity, odometry: Float[ndarray, "3"]) -> bool:
-        """Whether the robot is driven ahead and does not get anywhere."""
-        if velocity.speed <= 0:
+        """Whether the robot is driven ahead, or turned, and does not get anywhere."""
+        if velocity == STOP or velocity.speed < 0:
             self._stall = None
             return False
-        if self._stall is None or np.hypot(*(odometry[:2] - self._stall[1])) > STALLED_M:
-            self._moved = self._moved or self._stall is not None
-            self._stall = self._stamp, odometry[:2].copy()
-            return False
-        if self._stamp - self._stall[0] < STALLED_S:
+        if self._stall is not None:
+            off = odometry - self._stall[1]
+            if np.hypot(*off[:2]) > STALLED_M or abs(wrap(off[2])) > STALLED_RAD:
+                self._moved, self._stall = True, None
+        if self._stall is None:
+            self._stall = self._stamp, odometry
+        if self._stamp - self._stall[0] < max(STALLED_S, 10 * max(self._gaps, default=0.0)):
             return False
         self._stall = None
         return True

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.geometry import wrap
-from echogrid.grid import FREE_THRESH, Grid
+from echogrid.grid import FREE_THRESH, Grid, logit
 from echogrid.planning.asides import SAME_M, Asides
 from echogrid.planning.clearance import Floor
 from echogrid.planning.following import TURNED_RAD, Pace, follow, may_go, turn_by
@@ -58,8 +58,8 @@ PAST_M = 0.3
 STUCK_M, STUCK_S = 40.0, 240.0
 """A robot that has seen nothing new for such a way, or such a time, has seen what it can."""
 
-NEW_M2 = 0.05
-"""Less than this is nothing new."""
+NEW_M2 = 0.2
+"""Less than this is nothing new: a robot that stands about hears a little more of what it knows for ever."""
 
 AROUND_M = 1.6
 """Side of the square, beside the footprint, that is looked at at each step, m."""
@@ -114,7 +114,7 @@ class Explorer:
         self._looks: list[Float[ndarray, "2"]] = []
         self._free_m2 = 0.0
         self._view: _View | None = None
-        self._level = 0
+        self._level = self._least = self._lowest = 0
         self._way_m, self._news = 0.0, (0.0, 0.0, 0.0)
 
     def around_m(self) -> float:
@@ -149,7 +149,7 @@ class Explorer:
         self._thought_s = stamp
         if self._home is None:
             self._home = pose[:2].copy()
-        self._note_news(self.floor(grid), stamp)
+        self._note_news(grid, stamp)
         views = _Views(self, grid, pose)
         if not any(views[number] for number in range(len(LEVELS))):
             self._finish("the robot stands where by the map it cannot be")
@@ -169,7 +169,7 @@ class Explorer:
                 self.goal = min(near, key=lambda one: float(np.linalg.norm(one.place - goal.place)))
                 self._go(view, self.goal.cell)
                 return True
-        for number in range(len(LEVELS)):
+        for number in range(self._lowest, len(LEVELS)):
             view = views[number]
             if view and (best := self._chosen(view.found, pose, number)):
                 if goal is None or np.linalg.norm(best.place - goal.place) > SAME_M:
@@ -266,6 +266,8 @@ class Explorer:
         self._blocked, self._blocked_m = 1 if on else self._blocked + 1, self._way_m
         if self._blocked >= BLOCKS and self.goal is not None:
             self._set_aside(self.goal)
+        elif self._blocked >= BLOCKS and self.state == "returning" and self._least < len(LEVELS) - 1:
+            self._least, self._blocked = self._least + 1, 0
         elif self._blocked >= BLOCKS and self.state == "returning" and self._home is not None:
             off = float(np.linalg.norm(self._home - self._last)) if self._last is not None else np.inf
             self._finish(self.end or _KNOWN if off < SAME_M else "something is in the way back")
@@ -327,7 +329,7 @@ class Explorer:
     def _chosen(self, found: Edges, pose: Float[ndarray, "3"], level: int) -> Frontier | None:
         """Which frontier is worth most at a level; None: none is left."""
         fresh = [one for one in found.frontiers if not self._asides.holds(one.place, level)]
-        if not fresh and not level:  # before it dares more
+        if not fresh and level == self._lowest:  # before it dares more
             self._asides.forgive()
             fresh = [one for one in found.frontiers if not self._asides.holds(one.place, level)]
         return min(fresh, key=lambda frontier: self._worth(frontier, pose), default=None)
@@ -349,7 +351,7 @@ class Explorer:
         """Go home, or as near to it as there is a way, daring no more than it takes."""
         home, best = self._home, None
         assert home is not None
-        for number in range(len(LEVELS)):
+        for number in range(self._least, len(LEVELS)):
             if (view := views[number]) is None or (cell := view.floor.nearest(view.found.reach, home)) is None:
                 continue
             off = float(np.linalg.norm(view.floor.grid.centre_of(np.array(cell)) - home))
@@ -362,14 +364,17 @@ class Explorer:
         self.left = view.found.frontiers
         self._go(view, cell)
 
-    def _note_news(self, floor: Floor, stamp: float) -> None:
+    def _note_news(self, grid: Grid, stamp: float) -> None:
         """Take down how much floor is known, and see whether that still grows."""
-        area = float(np.count_nonzero(floor.free)) * floor.grid.resolution**2
+        free = grid.observed & (grid.log_odds < logit(FREE_THRESH))
+        area = float(np.count_nonzero(free)) * grid.resolution**2
         known, way, since = self._news
         if area > known + NEW_M2 or self.state == "returning":
-            self._news = area, self._way_m, stamp
+            self._news, self._lowest = (area, self._way_m, stamp), 0
         elif self._way_m - way > STUCK_M or stamp - since > STUCK_S:
-            self.end = self.end or "nothing new was seen for a long way"
+            if self._lowest == len(LEVELS) - 1:
+                self.end = self.end or "nothing new was seen for a long way"
+            self._lowest, self._news = len(LEVELS) - 1, (known, self._way_m, stamp)
 
     def _finish(self, why: str) -> None:
         self.state, self.end, self.path, self.goal = "done", why, None, None

@@ -1,6 +1,6 @@
 """A path becomes wheel velocities; and whether the robot may go on, by what the map knows right now."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -29,7 +29,7 @@ GRAZE_M = 0.03
 thicker than that."""
 
 REACTION_S = 0.3
-"""From what is seen to wheels that slow down."""
+"""From what is seen to wheels that slow down, as a rule."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,21 @@ class Pace:
     """Where there is little room beside the robot."""
     roomy_m: float = 0.25
     """With so much room beside it a robot need not slow down."""
+    reaction_s: float = REACTION_S
+    """From what is seen to wheels that slow down."""
+
+    def late(self, seconds: float) -> "Pace":
+        """The pace of a robot that is told what to do only so often (s): it goes no farther blindly than it would."""
+        if seconds <= REACTION_S:
+            return self
+        share = REACTION_S / seconds
+        return replace(
+            self,
+            speed_m_s=self.speed_m_s * share,
+            turn_rad_s=self.turn_rad_s * share,
+            creep_m_s=self.creep_m_s * share,
+            reaction_s=seconds,
+        )
 
 
 def follow(
@@ -74,7 +89,7 @@ def follow(
     speed = min(speed, np.sqrt(2 * pace.braking_m_s2 * to_end), pace.speed_m_s * np.cos(2 * bearing))
     distance = max(float(np.linalg.norm(target - pose[:2])), 0.1)
     turn = 2 * speed * np.sin(bearing) / distance + 0.8 * bearing
-    return float(max(speed, 0.03)), float(np.clip(turn, -pace.turn_rad_s, pace.turn_rad_s))
+    return float(max(speed, min(0.03, pace.creep_m_s))), float(np.clip(turn, -pace.turn_rad_s, pace.turn_rad_s))
 
 
 def turn_by(angle: float, pace: Pace) -> float:
@@ -97,7 +112,7 @@ def may_go(floor: Floor, pose: Float[ndarray, "3"], velocity: tuple[float, float
     speed, turn = velocity
     if speed <= 0:
         return True
-    reach = speed * REACTION_S + speed**2 / (2 * pace.braking_m_s2) + SLACK_M
+    reach = speed * pace.reaction_s + speed**2 / (2 * pace.braking_m_s2) + SLACK_M
     s = np.append(np.arange(0.0, reach, 0.04), reach)
     heading = pose[2] + turn / speed * s / 2
     points = pose[:2] + np.stack([s * np.cos(heading), s * np.sin(heading)], axis=1)

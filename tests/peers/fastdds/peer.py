@@ -23,11 +23,19 @@ START_S = 1000.0
 
 def missing() -> str | None:
     """What is not installed, if something is not."""
-    tools = [tool for tool in ("unshare", "nsenter", "ip", "g++", "fastddsgen") if shutil.which(tool) is None]
+    tools = [tool for tool in ("g++", "fastddsgen") if shutil.which(tool) is None]
     if tools:
         return f"found no {', '.join(tools)}"
     if not Path("/usr/include/fastdds/dds").is_dir():
         return "found no libfastrtps-dev"
+    return without_namespace()
+
+
+def without_namespace() -> str | None:
+    """Why no network namespace can be made, if so."""
+    tools = [tool for tool in ("unshare", "nsenter", "ip") if shutil.which(tool) is None]
+    if tools:
+        return f"found no {', '.join(tools)}"
     if subprocess.run(["unshare", "-rn", "true"], capture_output=True).returncode:
         return "found no right to make a network namespace"
     return None
