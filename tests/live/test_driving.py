@@ -151,6 +151,16 @@ def test_it_stands_while_what_it_drives_by_is_silent_and_goes_on_afterwards(driv
     assert np.linalg.norm(driven.pose_ - there) > 0.1
 
 
+def test_it_stands_while_the_robots_clock_does(driven):
+    underway(driven)
+    stamp = START_S + driven.time - STEP_S
+    for _ in range(30):
+        driven.ranges([1.0] * len(MOUNTS), stamp)
+        driven.step()
+    assert [sent for sent in driven.pictures if isinstance(sent, Velocity)][-1] == (0.0, 0.0)
+    assert driven.said("the robot stands: the robot's clock stands") == 1
+
+
 @pytest.mark.parametrize("jump", [(1.0, 0.0, 0.0), (0.0, 0.0, 2.0)])
 def test_a_pose_that_jumps_stops_it_for_good(driven, jump):
     underway(driven)

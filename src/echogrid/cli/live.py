@@ -121,7 +121,12 @@ class Live:
             if drives:
                 _say(self.explores.told())
             saver = _Saver(self.out, self.save_every)
-            _map(mapping, network, saver, stop, interface or "the interfaces of CYCLONEDDS_URI")
+            try:
+                _map(mapping, network, saver, stop, interface or "the interfaces of CYCLONEDDS_URI")
+            finally:  # whatever happens, the robot stops
+                for last in mapping.ended():
+                    network.send(last)
+            _finish(mapping, network)
             saver.last(mapping, network)
         files = f"{self.out}/map.png; {self.out}/map.yaml is for Nav2's map_server"
         print(escaped(f"{mapping.scans} scans, {mapping.readings} readings; map in {files}"))
@@ -176,8 +181,10 @@ def _map(mapping: "Mapping", network: "Network", saver: "_Saver", stop: list[int
             if status != told:
                 _say(status)
             told = status
-    for last in mapping.ended():
-        network.send(last)
+
+
+def _finish(mapping: "Mapping", network: "Network") -> None:
+    """Map what has come and was not mapped yet."""
     for heard, topic, message in network.take():
         mapping.take(heard, topic, message, time.monotonic())
     mapping.finish()

@@ -34,6 +34,9 @@ JUMP_M, JUMP_RAD, SETTLES_S = 0.1, np.deg2rad(5.0), 3.0
 FASTER, SLACK_M, SLACK_RAD = 3.0, 0.15, 0.5
 """A pose that moves so many times faster than the robot is driven, and by so much, has jumped."""
 
+OTHERS = 1.0, 2.0
+"""How fast a robot is taken to be at most that somebody else drives, m/s and rad/s."""
+
 STALLED_S, STALLED_M, STALLED_RAD = 2.0, 0.01, np.deg2rad(3.0)
 """A robot that is driven for so long and gets no farther than this has touched something, or does not obey."""
 
@@ -116,7 +119,9 @@ class Driving:
         self._keep_to(live_map)
         assert self.explorer is not None
         silent = now - hearing.last_range > ALIVE_S
+        stands = now - self._now >= ALIVE_S and hearing.newest == self._stamp
         due = abs(hearing.newest - self._stamp) >= CONTROL_S or (silent and now - self._now >= CONTROL_S)
+        due |= now - self._now >= ALIVE_S
         if not due or not live_map.scans:
             return []
         if self.explorer.state == "done" and not self._doubt:
@@ -126,7 +131,8 @@ class Driving:
         odometry = self._odometry_at(live_map, hearing)
         if odometry is not None and not self.halted:
             self._watch(live_map, odometry, hearing.newest)
-        self._tell(self.halted or self._doubts(live_map, hearing, odometry, silent))
+        stopped = "the robot's clock stands" if stands and not silent else ""
+        self._tell(self.halted or stopped or self._doubts(live_map, hearing, odometry, silent))
         if self._doubt or odometry is None:
             self.explorer.path = None  # by the map as it is then
             self._stall = None
@@ -184,8 +190,9 @@ class Driving:
             took = max(stamp - before, CONTROL_S)
             step = compose(inverse(told), odometry)
             pace = self._drives.pace
-            far = np.hypot(*step[:2]) > FASTER * pace.speed_m_s * took + SLACK_M
-            round_ = abs(step[2]) > FASTER * pace.turn_rad_s * took + SLACK_RAD
+            speed, turn = (pace.speed_m_s, pace.turn_rad_s) if self._drives.itself else OTHERS
+            far = np.hypot(*step[:2]) > FASTER * speed * took + SLACK_M
+            round_ = abs(step[2]) > FASTER * turn * took + SLACK_RAD
             if far or round_:
                 jump = f"{np.hypot(*step[:2]):.2f} m and {np.rad2deg(abs(step[2])):.0f} degrees within {took:.1f} s"
                 self.halted = f"the pose jumped by {jump}, so its place is in doubt: start echogrid live again"
