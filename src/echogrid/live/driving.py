@@ -119,7 +119,9 @@ class Driving:
         self._keep_to(live_map)
         assert self.explorer is not None
         silent = now - hearing.last_range > ALIVE_S
-        stands = now - self._now >= ALIVE_S and hearing.newest == self._stamp
+        stands = (
+            now - self._now >= ALIVE_S and hearing.newest == self._stamp and now - hearing.last_range < ALIVE_S / 2
+        )
         due = abs(hearing.newest - self._stamp) >= CONTROL_S or (silent and now - self._now >= CONTROL_S)
         due |= now - self._now >= ALIVE_S
         if not due or not live_map.scans:
@@ -131,7 +133,7 @@ class Driving:
         odometry = self._odometry_at(live_map, hearing)
         if odometry is not None and not self.halted:
             self._watch(live_map, odometry, hearing.newest)
-        stopped = "the robot's clock stands" if stands and not silent else ""
+        stopped = "the robot's clock stands" if stands else ""
         self._tell(self.halted or stopped or self._doubts(live_map, hearing, odometry, silent))
         if self._doubt or odometry is None:
             self.explorer.path = None  # by the map as it is then
