@@ -77,7 +77,7 @@ def test_the_correction_is_where_the_frame_of_the_odometry_lies_in_the_map(finde
 
 
 def test_good_odometry_is_not_spoilt(finder):
-    assert error(driven(finder, FRAMES)) < 0.06
+    assert error(driven(finder, FRAMES)) < 0.04
 
 
 def test_scans_come_no_later_for_what_is_placed_beside_them(finder):
@@ -196,7 +196,7 @@ def test_the_map_is_made_anew_as_the_poses_say_now(finder):
             mapper, renewed = made.mapper, renewed + 1
             path = np.array([frame.pose[:2] for frame in finder.scans()])
             assert len(made.path) == len(path)
-    assert 3 < renewed < 26  # no more often than once a second of the drive
+    assert 1 < renewed < 26  # no more often than once a second of the drive
     fresh = Mapper(B21)
     fresh.add(finder.scans())
     final = remapping.final(B21).mapper.grid()

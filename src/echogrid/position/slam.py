@@ -24,7 +24,7 @@ BEFORE, ANCHOR, GROWN = 12, 4, 4
 """A piece is matched to the map of so many pieces before it, and its pose is told from the one so many before it. The
 map grows by as many pieces as the last before it is made anew."""
 
-CHAIN = np.array([7.0, 4.0, 10.0])
+CHAIN = np.array([12.0, 10.0, 16.0])
 """What the spread of such matches is multiplied with, along, across, heading: those that follow each other overlap
 and err alike, along a corridor and in heading above all."""
 
