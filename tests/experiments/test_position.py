@@ -179,7 +179,7 @@ def test_the_table_says_in_one_line_what_is_wrong(case, tmp_path):
     case, *_ = case
     for arguments, said in [
         ([tmp_path / "none"], "no case"),
-        ([case.folder, "--method", "nowhere:slam"], "expected odometry or MODULE:FUNCTION"),
+        ([case.folder, "--method", "nowhere:slam"], "expected odometry, slam or MODULE:FUNCTION"),
         ([case.folder, "--errors", "twice"], "no case with poses of twice"),
     ]:
         result = table(*arguments)

@@ -4,8 +4,9 @@
         [--errors odometry|twice|true] [--maps]
 
 CASES is a folder of cases (``cases.py``) or one of them; ``simulated`` and ``recordings`` make such. A method is
-``odometry``, which leaves the poses as they are, or a function ``(log, robot) -> poses`` of shape (frames, 3), m, m
-and rad, found as MODULE:FUNCTION; where it raises an ``EchogridError``, the poses that it was given count.
+``odometry``, which leaves the poses as they are, ``slam``, or a function ``(log, robot) -> poses`` of shape
+(frames, 3), m, m and rad, found as MODULE:FUNCTION; where it raises an ``EchogridError``, the poses that it was given
+count.
 
 One row a case: ATE is the root mean square of the distances to the true positions after the whole trajectory was laid
 onto the true one (as ``evo_ape -a``), ``first`` the same with the first pose laid onto the true first; ``worst`` is
@@ -27,7 +28,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from tqdm import tqdm
 
-from echogrid import Log, Robot, build_map
+from echogrid import Log, Robot, build_map, slam
 from echogrid.errors import EchogridError
 from echogrid.geometry import compose, inverse
 from echogrid.mapping.registry import DEFAULT, sensor_model
@@ -51,11 +52,13 @@ def method_of(name: str) -> Method:
     """
     if name == "odometry":
         return lambda log, _: poses_of(log)
+    if name == "slam":
+        return lambda log, robot: slam(log, robot).poses
     module, _, function = name.partition(":")
     try:
         return getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"--method: found {name} ({error}), expected odometry or MODULE:FUNCTION") from None
+        raise ValueError(f"--method: found {name} ({error}), expected odometry, slam or MODULE:FUNCTION") from None
 
 
 def judged(case: Case, method: Method, errors: str, out: Path | None, maps: bool) -> dict[str, Any]:
@@ -137,7 +140,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cases", type=Path, metavar="CASES", help="a folder of cases, or one")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="where numbers and trajectories go")
-    parser.add_argument("--method", default="odometry", metavar="NAME", help="odometry, or MODULE:FUNCTION")
+    parser.add_argument("--method", default="odometry", metavar="NAME", help="odometry, slam, or MODULE:FUNCTION")
     parser.add_argument("--only", nargs="+", default=(), metavar="WORD", help="cases whose names hold one of these")
     parser.add_argument("--errors", default="odometry", choices=[*ODOMETRY, "true"], help="of the poses it is given")
     parser.add_argument("--maps", action="store_true", help="score maps from given, found and true poses too")
