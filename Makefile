@@ -13,7 +13,7 @@ COMPILER := { [ -n "$$CXX" ] || command -v c++ || command -v g++ || command -v c
 C := $(wildcard src/echogrid/microcontroller/c/*.[ch] tests/microcontroller/*.c benchmarks/microcontroller/*.c)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup map test check format bench study paper generalise drivable peers docs mrpt weights builds sanitize arm clean
+.PHONY: help setup map test slow check format bench study paper generalise drivable peers docs mrpt weights builds sanitize arm clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -41,6 +41,9 @@ map: $(READY)  ## map the shipped sample into out/ (look at out/map.png, or out/
 test: $(READY)  ## run the tests (about 5 minutes on 2 cores)
 	@echo "make: running the tests, about 5 minutes on 2 cores"
 	$(BIN)/python -m pytest
+
+slow: $(READY)  ## run the tests that take a minute each, which make test leaves out
+	$(BIN)/python -m pytest -m slow
 
 check: $(READY)  ## lint, format and types
 	$(BIN)/ruff check

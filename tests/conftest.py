@@ -27,6 +27,11 @@ os.environ |= {
 }
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """One more than there are cores: many tests wait for programs that play at the speed of a robot."""
+    return (os.cpu_count() or 1) + 1
+
+
 @pytest.fixture
 def temporary(tmp_path, monkeypatch):
     """Where temporary files go; at the end of each test there are none."""

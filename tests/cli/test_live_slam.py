@@ -28,7 +28,7 @@ FRAMES = list(load_log(SAMPLE, B21))
 TRUTH = np.array([frame.pose for frame in FRAMES])
 TOLD = Odometry().times(2).of(TRUTH, np.random.default_rng(3))
 STAMPS = peer.START_S + np.array([frame.stamp - FRAMES[0].stamp for frame in FRAMES])
-SPEED = 4.0
+SPEED = 6.0
 
 
 def script(initial: dict[int, str] | None = None) -> list[str]:
@@ -166,6 +166,7 @@ def test_a_robot_is_tracked_from_its_start_in_a_map_that_is_known(known, tmp_pat
     assert np.hypot(*(np.array(saved["place"])[:2] - TRUTH[-1, :2])) < 0.3
 
 
+@pytest.mark.slow
 def test_a_robot_that_may_be_anywhere_is_where_initialpose_says(known, tmp_path):
     here = 100
     told = f"initial {peer.stamp_text(STAMPS[here])} map {peer.pose_text(*TRUTH[here])} 0.25 0.25 0.07"

@@ -170,6 +170,7 @@ def test_it_is_said_loudly_that_the_robot_is_driven_and_nothing_else_is_doubtful
 
 
 @needs_namespace
+@pytest.mark.slow
 def test_who_is_killed_on_the_way_and_started_again_does_no_harm(tmp_path):
     with peer.namespace() as network:
         run = Run(network, tmp_path)
