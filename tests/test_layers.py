@@ -26,15 +26,16 @@ PLAN = {
     "mapping": "registry intake mapper build",
     "position": "motion graph matching echoes walls pieces bends slam forgetting growing beside online remapping "
     "odometry corrected particles beams sights usual floor localiser localise",
+    "calibration": "readings walls places beams health variants swaps calibrate findings",
     "planning": "clearance paths following frontiers asides explorer guiding explore",
     "training": "drives gradient_descent paper_examples paper_training set_lessons map_lessons map_training "
     "set_training",
     "output": "trajectory graph_file folder follower map_picture scan_picture map_server_file map_file mcap_file "
-    "recording page rerun_file rerun_server",
+    "recording page rerun_file rerun_server calibration_files",
     "microcontroller": "array constants source",
     "live": "sonar_array clocks hearing telling placing known live_map driving session base sockets participant "
     "tf_topics dds_types dds base_topics",
-    "cli": "ending arguments network info poses maps localise planning simulation export driving live robot helping "
+    "cli": "ending arguments network info poses maps localise calibrating planning simulation export driving live robot helping "
     "completion commands",
 }
 ORDER = [f"{room}.{name}".strip(".") for room, names in PLAN.items() for name in [*names.split(), ""] if room or name]

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import tyro
 
 from echogrid import __version__
+from echogrid.cli.calibrating import Calibrate, Doctor
 from echogrid.cli.completion import completion
 from echogrid.cli.export import Export
 from echogrid.cli.helping import examples, folded, worded
@@ -16,7 +17,22 @@ from echogrid.cli.planning import Explore, Plan
 from echogrid.cli.robot import SimulatedRobot
 from echogrid.cli.simulation import Scan, Simulate, Train
 
-Command = Map | Localise | Plan | Explore | SimulatedRobot | Live | Simulate | Scan | Train | Export | Score | Info
+Command = (
+    Map
+    | Localise
+    | Calibrate
+    | Doctor
+    | Plan
+    | Explore
+    | SimulatedRobot
+    | Live
+    | Simulate
+    | Scan
+    | Train
+    | Export
+    | Score
+    | Info
+)
 
 COMMANDS: dict[str, Callable[..., Command]] = {
     "map": Map,
@@ -31,6 +47,8 @@ COMMANDS: dict[str, Callable[..., Command]] = {
     "export": Export,
     "score": Score,
     "info": Info,
+    "doctor": Doctor,
+    "calibrate": Calibrate,
 }
 
 

@@ -45,6 +45,14 @@ echogrid robot my-building.yaml --robot p3dx --speed 4 --out drive.csv
 echogrid info drive.bag
 echogrid info drive.csv --robot p3dx
 """,
+    "doctor": """
+echogrid doctor drive.bag
+echogrid doctor drive.csv --robot my-robot.yaml
+""",
+    "calibrate": """
+echogrid calibrate drive.csv --robot my-robot.yaml # look at calibrated/calibration.png
+echogrid map drive.csv --robot calibrated/robot.yaml
+""",
     "live": """
 echogrid live --out house                          # nodes of this machine that talk on loopback
 echogrid live --interface eth0 --domain 7

@@ -1,0 +1,198 @@
+"""What a log says of the robot that drove: a robot file from the log itself, and what the log cannot tell.
+
+docs/how-to/calibrate.md tells how it works and what it reaches.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from echogrid.calibration import beams, places
+from echogrid.calibration.beams import Beams, Chances
+from echogrid.calibration.health import Health, examine
+from echogrid.calibration.places import Places
+from echogrid.calibration.readings import Readings, gather, some, windows
+from echogrid.calibration.swaps import agreement, seats
+from echogrid.calibration.variants import AS_GIVEN, Ranked, applied, ranked
+from echogrid.calibration.walls import find, sonars_at
+from echogrid.errors import InputError
+from echogrid.frame import Frame, Log
+from echogrid.geometry import wrap
+from echogrid.mapping.intake import check_robot, cleaned, fitting
+from echogrid.robot import Robot
+
+MOST_PARTS = 200
+"""Of a longer drive so many parts, spread over it, are looked at."""
+
+LEAST_WALLS, LEAST_ECHOES = 8, 200
+"""Of fewer walls, or echoes that touch them, nothing is concluded."""
+
+WIDER_RAD = np.deg2rad([8.0, 6.0, 4.0, 3.0, 3.0])
+"""Round after round, by how much more than the beam a sonar may hear off its axis."""
+
+LEAST_HALF_RAD = np.deg2rad(8.0)
+
+ODD = 0.05
+"""A sonar that agrees less with the walls (log-likelihood a wall) helps not to find them where swaps are sought."""
+
+SOFT_RAD = np.deg2rad(2.2)
+"""A beam whose edge seems softer has looked at rough walls, which are heard far off the axis too: mounts stay as they
+were given, for what rough walls say of them is worse than a ruler."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What a log says of the robot that drove."""
+
+    robot: Robot
+    """With the mounts and the beam that were found."""
+    given: Robot
+    """As it was said to be, in the order that was found."""
+    health: Health
+    ranks: list[Ranked] = field(repr=False)
+    """Plausible mistakes, the one of the sharpest walls first."""
+    taken: Ranked
+    """That of them which was taken: another than as given only where that is sure."""
+    seats: list[int]
+    """The mount (of ``taken``) at which each sonar was found."""
+    places: Places = field(repr=False)
+    beams: Beams = field(repr=False)
+    chances: Chances = field(repr=False)
+    inflation: tuple[float, float, float]
+    """By what the spreads of places, axes and scale are multiplied: both halves of the drive differ so much more."""
+    echoes: int
+    """That could touch a wall."""
+
+    @property
+    def swapped(self) -> list[tuple[int, int]]:
+        """Sonars that sit at another mount than theirs, and that mount."""
+        return [(sonar, seat) for sonar, seat in enumerate(self.seats) if sonar != seat]
+
+    @property
+    def share(self) -> float:
+        """Of the echoes, those that touch a wall."""
+        return len(self.places.walls.wall) / max(self.echoes, 1)
+
+    @property
+    def moved(self) -> Float[ndarray, "sonars 3"]:
+        """How far each mount is from where it was said to be: x, y, m; axis, rad."""
+        off = np.column_stack([self.places.mounts[:, :2], self.beams.yaw]) - self.given.mounts
+        return np.column_stack([off[:, :2], wrap(off[:, 2])])
+
+    @property
+    def moved_sd(self) -> Float[ndarray, "sonars 3"]:
+        """Standard deviations of that."""
+        place, axis, _ = self.inflation
+        return np.column_stack([self.places.place_sd * place, self.beams.yaw_sd * axis])
+
+    @property
+    def scale_sd(self) -> float:
+        """Standard deviation of the scale of the ranges."""
+        return self.places.scale_sd * self.inflation[2]
+
+    @property
+    def rough(self) -> bool:
+        """Whether walls are so rough that the mounts were left as they were given."""
+        return self.beams.soft > SOFT_RAD
+
+
+class _Fitted(NamedTuple):
+    places: Places
+    beams: Beams
+    chances: Chances
+
+
+def calibrate(frames: Iterable[Frame], robot: Robot) -> Calibration:
+    """What a drive says of the robot that drove.
+
+    Args:
+        frames: a log of the robot, or frames in a list. Their poses are trusted over some metres.
+        robot: as it is said to be: mounts within some centimetres and degrees, or wrong in one of the ways of
+            ``variants``.
+
+    Raises:
+        InputError: there are no frames, or too few echoes of straight walls or corners to tell anything by.
+        UsageError: frames that cannot be of the robot.
+    """
+    check_robot(robot)
+    name = frames.name if isinstance(frames, Log) else "frames"
+    readings = gather(cleaned(list(fitting(frames, robot)), robot), robot, name)
+    health = examine(readings)
+    useful = readings.without(health.useless)
+    ranks = ranked(useful, robot)
+    taken = _taken(ranks)
+    useful, given = applied(useful, robot, taken.variant)
+    parts = some(windows(useful), MOST_PARTS)
+    seat = _seats(useful, given, parts, name)
+    given = replace(given, mounts=given.mounts[seat])
+    whole = _fitted(useful, given, parts, name)
+    inflation = _inflation(useful, given, parts)
+    mounts = np.column_stack([whole.places.mounts[:, :2], whole.beams.yaw])
+    left = list(range(robot.sonars)) if whole.beams.soft > SOFT_RAD else health.useless
+    mounts[left] = given.mounts[left]
+    width = float(np.clip(2 * whole.beams.half, np.deg2rad(1.0), np.pi))
+    found = replace(robot, mounts=mounts, beam_width_rad=width)
+    echoes = int(np.isfinite(useful.only(parts).near()).sum())
+    return Calibration(found, given, health, ranks, taken, seat, *whole, inflation, echoes)
+
+
+def _taken(ranks: list[Ranked]) -> Ranked:
+    """The sharpest, if it is so beyond doubt; else what was given."""
+    given = next(each for each in ranks if each.variant.name == AS_GIVEN)
+    return ranks[0] if ranks[0].surely_over(given) else given
+
+
+def _fitted(readings: Readings, given: Robot, parts: list[slice], name: str, rounds: int = len(WIDER_RAD)) -> _Fitted:
+    """Walls, places, scale, axes and beam, in turn until they agree.
+
+    Raises:
+        InputError: there is too little to tell anything by.
+    """
+    mounts, scale, half = given.mounts, 1.0, given.beam_width_rad / 2
+    near = readings.near()
+    for wider in WIDER_RAD[:rounds]:
+        off = max(half, LEAST_HALF_RAD) + float(wider)
+        walls = find(sonars_at(readings.poses, mounts), near / scale, parts, off)
+        if len(walls.place) < LEAST_WALLS or len(walls.wall) < LEAST_ECHOES:
+            found = f"{len(walls.wall)} echoes that touch {len(walls.place)} straight walls or corners"
+            expected = (
+                f"{LEAST_ECHOES} and {LEAST_WALLS}, as of some {LEAST_WALLS} m along walls, to tell anything by"
+            )
+            raise InputError(name, found, expected)
+        place = places.fit(readings, mounts, given.mounts, walls, scale)
+        scale = place.scale
+        chances = beams.chances(readings, place.mounts, scale, place.walls, place.miss_m)
+        beam = beams.fit(chances, given.mounts[:, 2], mounts[:, 2], half)
+        mounts, half = np.column_stack([place.mounts[:, :2], beam.yaw]), beam.half
+    return _Fitted(place, beam, chances)
+
+
+def _seats(readings: Readings, given: Robot, parts: list[slice], name: str) -> list[int]:
+    """The mount of each sonar: walls are found by those that agree, and the others tried at each other's mounts."""
+    helping, odd = readings, list[int]()
+    told = np.zeros((0, 0))
+    for _ in range(2):
+        place, beam, _ = _fitted(helping, given, parts, name, rounds=2)
+        told = agreement(readings, given.mounts, beam, place.scale, place.walls, place.miss_m)
+        odd = np.flatnonzero(np.diag(told) < ODD).tolist()
+        if not odd or len(odd) > given.sonars // 3:
+            break
+        helping = readings.without(odd)
+    return seats(told).tolist()
+
+
+def _inflation(readings: Readings, given: Robot, parts: list[slice]) -> tuple[float, float, float]:
+    """By how much more than their spreads places, axes and scale of two halves of the drive differ; at least 1."""
+    try:
+        one, other = (_fitted(readings.only(parts[first::2]), given, parts[first::2], "half") for first in (0, 1))
+    except InputError:
+        return 2.0, 2.0, 2.0  # half the drive says too little to tell
+    apart = (one.places.mounts - other.places.mounts)[:, :2] / np.hypot(one.places.place_sd, other.places.place_sd)
+    turned = wrap(one.beams.yaw - other.beams.yaw) / np.hypot(one.beams.yaw_sd, other.beams.yaw_sd)
+    scaled = (one.places.scale - other.places.scale) / np.hypot(one.places.scale_sd, other.places.scale_sd)
+    place, axis, scale = (max(1.0, float(np.sqrt(np.mean(each**2)))) for each in (apart, turned, np.array(scaled)))
+    return place, axis, scale

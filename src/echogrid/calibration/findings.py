@@ -1,0 +1,89 @@
+"""What a look at a drive found, in lines: what, where, how much, and what to do."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from echogrid.calibration.calibrate import Calibration
+from echogrid.calibration.health import Health
+from echogrid.calibration.variants import AS_GIVEN, GAIN, Ranked
+
+DOUBTED = 1.5
+"""From so many standard deviations on it is told that another variant than the given one is likelier."""
+
+SCALE_OFF, SURE = 0.005, 1.96
+
+
+def of_health(health: Health) -> Iterator[str]:
+    """What is amiss with sonars."""
+    kinds = (
+        (health.silent, "has no valid reading", "is it connected? leave it out, or mend it"),
+        (health.dead & ~health.silent, "never hears an echo, though others do", "is it blind, covered, or too weak?"),
+        (health.stuck, "says one value wherever the robot is", "has its driver died, or does it see the robot?"),
+        (health.stale, "repeats its last value while the robot moves", "poll it no faster than it measures"),
+        (
+            health.cross_talk,
+            "has short readings among steady ones",
+            "does it hear the pulses of others? fire in turn",
+        ),
+    )
+    for which, what, remedy in kinds:
+        if not which.any():
+            continue
+        share = _share(health, what, which)
+        yield f"{_named(np.flatnonzero(which).tolist())} {what}{share}: {remedy}"
+
+
+def _share(health: Health, what: str, which: np.ndarray) -> str:
+    values = health.repeats if "repeats" in what else health.spikes if "short" in what else None
+    if "one value" in what:
+        return f" ({health.value[which][0]:g} m)"
+    return "" if values is None else f" (in {np.min(values[which]):.0%} to {np.max(values[which]):.0%} of its echoes)"
+
+
+def _named(sonars: list[int]) -> str:
+    shown = ", ".join(f"r{i}" for i in sonars[:8])
+    more = f" and {len(sonars) - 8} more" if len(sonars) > 8 else ""
+    return f"{shown}{more}:" if len(sonars) > 1 else f"{shown}"
+
+
+def of_order(ranks: list[Ranked]) -> Iterator[str]:
+    """Whether walls are sharper if the mounts, or the poses, are otherwise than given."""
+    given, first = next(each for each in ranks if each.variant.name == AS_GIVEN), ranks[0]
+    if first is given or first.share < GAIN * given.share or first.over(given) < DOUBTED:
+        return
+    sure = f"{first.share:.0%} of the echoes touch walls then, {given.share:.0%} as given"
+    if first.surely_over(given):
+        yield f"{first.variant.name} ({sure}; {first.over(given):.1f} standard deviations)"
+    else:
+        yield f"perhaps {first.variant.name} ({sure}, which may be chance): a longer log tells"
+
+
+def of_swaps(found: Calibration) -> Iterator[str]:
+    """Which sonars sit at others' mounts."""
+    if found.swapped:
+        pairs = ", ".join(f"r{sonar} at the mount of r{seat}" for sonar, seat in found.swapped)
+        yield f"sonars are swapped: {pairs}: change their order in the robot file, or their cables"
+
+
+def of_ranges(found: Calibration) -> Iterator[str]:
+    """Whether ranges and poses have one scale."""
+    scale, sd = found.places.scale, found.scale_sd
+    if abs(scale - 1) > max(SCALE_OFF, SURE * sd):
+        what = f"ranges read {scale:.4f} m a metre of the poses (+-{SURE * sd:.4f})"
+        yield f"{what}: divide them by it, or multiply the poses; which of the two is wrong no log tells"
+
+
+def untold(found: Calibration) -> Iterator[str]:
+    """What cannot be told from the log."""
+    yield "an offset of all ranges, and how far out all sonars sit: walls move with them; a tape tells"
+    if found.rough:
+        soft = np.rad2deg(found.beams.soft)
+        what = f"the edge of the beam is soft ({soft:.1f} degrees), as before rough walls"
+        yield f"the mounts: {what}; left as they were given: drive along smooth walls"
+    wide = np.flatnonzero(found.moved_sd[:, 2] * SURE > np.deg2rad(5.0)).tolist()
+    if wide and not found.rough:
+        yield f"the axis of {_named(wide)} to better than 5 degrees: turn the robot beside a wall, both ways"
+    far = np.flatnonzero(found.moved_sd[:, :2].max(axis=1) * SURE > 0.05).tolist()
+    if far and not found.rough:
+        yield f"the place of {_named(far)} to better than 5 cm: turn the robot beside a wall, both ways"

@@ -1,0 +1,110 @@
+"""What is amiss with single sonars, told without a map: dead, stuck, repeating old values, hearing other sonars."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+from echogrid.calibration.readings import Readings
+from echogrid.geometry import wrap
+
+LEAST_READINGS = 50
+"""Of fewer nothing is concluded."""
+
+OTHERS_HEAR = 0.2
+"""A sonar without an echo is dead if the median sonar has one in so many of its readings."""
+
+STUCK, STUCK_M = 0.5, 1.0
+"""A sonar is stuck if one value, over so long a way, is such a share of its echoes."""
+
+STALE, OVER_CHANCE = 0.1, 3.0
+"""Echoes that repeat the one before while the robot moves are old ones from such a share on, if there are so many
+times as many as of the next values of its steps."""
+
+SPIKE_M, STEADY_M, CROSS_TALK = 0.3, 0.1, 0.03
+"""Of readings between two that agree so well such a share is shorter than both by so much: pulses of others."""
+
+MOVED_M, MOVED_RAD = 0.01, 0.01
+
+
+@dataclass(frozen=True)
+class Health:
+    """What was found of each sonar. Shares are of all its echoes; nan where there are too few."""
+
+    echoes: Float[ndarray, "sonars"]
+    """Share of the valid readings that are an echo."""
+    dead: Bool[ndarray, "sonars"]
+    """Which never hear, though others do."""
+    silent: Bool[ndarray, "sonars"]
+    """Of those, which have no valid reading at all."""
+    stuck: Bool[ndarray, "sonars"]
+    """Which say one value."""
+    value: Float[ndarray, "sonars"]
+    """The commonest value of each, m."""
+    repeats: Float[ndarray, "sonars"]
+    """Share that repeats the one before to the last bit while the robot moves."""
+    stale: Bool[ndarray, "sonars"]
+    """Which repeat old values."""
+    spikes: Float[ndarray, "sonars"]
+    """Share of readings that are too short between two that agree."""
+    cross_talk: Bool[ndarray, "sonars"]
+    """Which have many of them."""
+
+    @property
+    def useless(self) -> list[int]:
+        """Sonars that say nothing of the room."""
+        return np.flatnonzero(self.dead | self.stuck).tolist()
+
+
+def examine(readings: Readings) -> Health:
+    """Look at each sonar by itself."""
+    ranges = readings.ranges
+    valid, echo = ~np.isnan(ranges), np.isfinite(ranges)
+    count = valid.sum(axis=0)
+    share = np.where(count >= LEAST_READINGS, echo.sum(axis=0) / np.maximum(count, 1), np.nan)
+    others = float(np.median(np.nan_to_num(share)))
+    enough = len(ranges) >= LEAST_READINGS
+    dead = enough & (echo.sum(axis=0) == 0) & (others > OTHERS_HEAR)
+    place = readings.poses[:, :, :2]
+    stuck, value, repeats, stale, spikes = (np.full(readings.sonars, np.nan) for _ in range(5))
+    for i in range(readings.sonars):
+        heard = np.flatnonzero(echo[:, i])
+        if len(heard) < LEAST_READINGS:
+            continue
+        values, of, counts = np.unique(ranges[heard, i], return_inverse=True, return_counts=True)
+        most = int(np.argmax(counts))
+        way = np.ptp(place[heard[of == most], i], axis=0)
+        value[i], stuck[i] = values[most], counts[most] > STUCK * len(heard) and np.hypot(*way) > STUCK_M
+        repeats[i], stale[i] = _repeats(ranges[:, i], readings.poses[:, i])
+        spikes[i] = _spikes(ranges[heard, i])
+    flags = [np.nan_to_num(each) > 0 for each in (stuck, stale)]
+    return Health(
+        share, dead, dead & (count == 0), flags[0], value, repeats, flags[1] & ~flags[0], spikes,
+        np.nan_to_num(spikes) > CROSS_TALK,
+    )  # fmt: skip
+
+
+def _repeats(ranges: Float[ndarray, "frames"], poses: Float[ndarray, "frames 3"]) -> tuple[float, bool]:
+    """Share of echoes that are the same as before though the robot moved, and whether chance explains it."""
+    step = np.diff(poses, axis=0)
+    moved = (np.hypot(step[:, 0], step[:, 1]) > MOVED_M) | (np.abs(wrap(step[:, 2])) > MOVED_RAD)
+    both = np.isfinite(ranges[1:]) & np.isfinite(ranges[:-1]) & moved
+    if both.sum() < LEAST_READINGS:
+        return float("nan"), False
+    change = np.abs(ranges[1:][both] - ranges[:-1][both])
+    share = float(np.mean(change == 0))
+    # Ranges come in steps (1 cm, say), and those that hardly change are the same by chance: as often as one step off.
+    steps = change[change > 1e-9]
+    quantum = float(np.min(steps)) if len(steps) else np.inf
+    chance = float(np.mean(np.abs(change - quantum) < 0.1 * quantum)) / 2
+    return share, share > STALE and share > OVER_CHANCE * chance
+
+
+def _spikes(ranges: Float[ndarray, "echoes"]) -> float:
+    """Share of echoes that are much shorter than those before and after, which agree."""
+    before, here, after = ranges[:-2], ranges[1:-1], ranges[2:]
+    steady = np.abs(before - after) < STEADY_M
+    if steady.sum() < LEAST_READINGS:
+        return float("nan")
+    return float(np.mean(here[steady] < np.minimum(before, after)[steady] - SPIKE_M))

@@ -1,0 +1,68 @@
+"""Which sonars sit at each other's mounts: each reading tried at each mount, before walls that all have found."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+from scipy.optimize import linear_sum_assignment
+
+from echogrid.calibration.beams import LEAST_CHANCES, NEAREST_M, Beams
+from echogrid.calibration.readings import Readings
+from echogrid.calibration.walls import Walls, sonars_at
+from echogrid.geometry import wrap
+
+NEAR_M, SOFT_RAD = 0.05, np.deg2rad(3.0)
+"""How far off places and axes may be that are only to be told from those of other sonars."""
+
+GAIN = 0.15
+"""A sonar sits at another mount if so much more of its log-likelihood a wall before it is explained there; both of a
+swap have to."""
+
+
+def agreement(
+    readings: Readings, mounts: Float[ndarray, "sonars 3"], beams: Beams, scale: float, walls: Walls, miss_m: float
+) -> Float[ndarray, "sonars mounts"]:
+    """How well each sonar's readings fit each mount: log-likelihood a wall over that of hearing by chance."""
+    n, gate = readings.sonars, max(NEAR_M, 2 * miss_m)
+    blurred = replace(beams, soft=max(beams.soft, SOFT_RAD))
+    out = np.zeros((n, n))
+    parts = np.unique(walls.span, axis=0)
+    fresh = readings.fresh & ~np.isnan(readings.ranges)
+    for sonar in range(n):
+        for mount in range(n):
+            off, heard = [np.zeros(0)], [np.zeros(0, dtype=bool)]
+            for first, last in parts:
+                which = np.flatnonzero((walls.span == (first, last)).all(axis=1))
+                f, w = (each.ravel() for each in np.meshgrid(np.arange(first, last), which, indexing="ij"))
+                at = sonars_at(readings.poses[f, sonar], mounts[mount])
+                distance, to, along = walls.seen(w, at[:, :2])
+                miss = readings.ranges[f, sonar] / scale - distance
+                low, high = walls.extent[w].T
+                ok = (walls.point[w] | (along > low) & (along < high)) & fresh[f, sonar]
+                ok &= (miss > -gate) & (distance > NEAREST_M)
+                turned = wrap(np.arctan2(to[:, 1], to[:, 0]) - at[:, 2])
+                ok &= np.abs(turned) < 3 * beams.half
+                off.append(turned[ok])
+                heard.append(miss[ok] < gate)
+            y, share = np.concatenate(heard), np.clip(blurred.share(np.concatenate(off)), 1e-3, 1 - 1e-3)
+            if len(y) >= LEAST_CHANCES:
+                chance = np.clip(np.mean(share), 1e-3, 1 - 1e-3)
+                told = np.where(y, np.log(share / chance), np.log((1 - share) / (1 - chance)))
+                out[sonar, mount] = float(np.mean(told))
+    return out
+
+
+def seats(agreement: Float[ndarray, "sonars mounts"]) -> Int[ndarray, "sonars"]:
+    """The mount of each sonar; its own unless others explain what was heard much better, all round."""
+    n = len(agreement)
+    _, best = linear_sum_assignment(-(agreement + GAIN * np.eye(n)))
+    seat = np.arange(n)
+    for start in range(n):
+        circle = [start]
+        while (following := int(best[circle[-1]])) != start:
+            circle.append(following)
+        more = [agreement[i, best[i]] - agreement[i, i] for i in circle]
+        if len(circle) > 1 and min(more) > GAIN:
+            seat[circle] = best[circle]
+    return seat

@@ -1,0 +1,149 @@
+"""Plausible mistakes about a robot and its poses, tried one after the other, by the sharpness of walls.
+
+A wrong order of the sonars, or mounts that are mirrored, smear walls: fewer echoes touch any that many touch.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import permutations
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from echogrid.calibration.readings import Readings, some, windows
+from echogrid.calibration.walls import find, sonars_at
+from echogrid.geometry import compose
+from echogrid.robot import Robot
+
+AS_GIVEN = "as given"
+
+SURE, GAIN = 3.0, 1.05
+"""A variant is surely better than another if parts of the drive agree on it by so many standard deviations, and so
+many times as many echoes touch walls."""
+
+LEAST_PARTS = 4
+"""Of fewer parts of the drive nothing is concluded."""
+
+ALL_ORDERS = 4
+"""Of so many sonars all orders are tried."""
+
+MOST_PARTS = 60
+"""So many parts, spread over the drive, are enough."""
+
+SAME_M = 0.02
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What may be so instead of what was given."""
+
+    name: str
+    """Words for a message, as of what is wrong."""
+    mounts: Float[ndarray, "sonars 3"]
+    """Of each reading, m, m, rad."""
+    poses: str = ""
+    """How the poses have to be changed, of POSES; empty: not."""
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A variant and how sharp its walls are."""
+
+    variant: Variant
+    touching: Int[ndarray, "parts"]
+    """Echoes that touch walls, in each part of the drive."""
+    share: float
+    """Of all echoes that could."""
+
+    def over(self, other: "Ranked") -> float:
+        """By how many standard deviations it is better than another."""
+        more = (self.touching - other.touching).astype(float)
+        spread = float(np.sqrt(np.sum((more - more.mean()) ** 2) * len(more) / max(len(more) - 1, 1)))
+        return float(more.sum()) / max(spread, 1.0)
+
+    def surely_over(self, other: "Ranked") -> bool:
+        """Whether it is better beyond doubt."""
+        many = len(self.touching) >= LEAST_PARTS
+        return many and self.share > GAIN * other.share and self.over(other) > SURE
+
+
+_QUARTERS = {90: "a quarter left", 180: "half round", -90: "a quarter right"}
+
+POSES = {
+    "theta": np.array([1.0, 1.0, -1.0]),
+    "y": np.array([1.0, -1.0, 1.0]),
+}
+
+
+def variants(robot: Robot) -> Iterator[Variant]:
+    """What may be wrong, what was given first."""
+    mounts, n = robot.mounts, robot.sonars
+    mirrored = mounts * [1, -1, -1]
+    yield Variant(AS_GIVEN, mounts)
+    yield Variant("left and right are swapped: the mounts are mirrored (or y and theta of the poses)", mirrored)
+    for degrees, how in _QUARTERS.items():
+        turn = np.array([0.0, 0.0, np.deg2rad(degrees)])
+        yield Variant(
+            f"the mounts are turned: all sonars look {how} of where they are said to", compose(turn, mounts)
+        )
+        yield Variant(f"the mounts are mirrored and turned {how}", compose(turn, mirrored))
+    if n <= ALL_ORDERS:
+        for order in permutations(range(n)):
+            names = ", ".join(f"r{i}" for i in order)
+            yield Variant(
+                f"the sonars are in another order: at the mounts are, one by one, {names}", _at(mounts, order)
+            )
+    else:
+        numbers = list(range(n))
+        for first in range(n):
+            order = numbers[first:] + numbers[:first]
+            if first:
+                yield Variant(f"the numbering is shifted: the first mount is that of r{first}", _at(mounts, order))
+            name = f"the sonars are numbered the other way round: the first mount is that of r{order[-1]}"
+            yield Variant(name, _at(mounts, order[::-1]))
+    yield Variant("theta is counted clockwise: it has to be counter-clockwise", mounts, "theta")
+    yield Variant("y points to the right: it has to point to the left of x", mounts, "y")
+
+
+def _at(mounts: Float[ndarray, "sonars 3"], order: tuple[int, ...] | list[int]) -> Float[ndarray, "sonars 3"]:
+    """Mounts of each reading if at mount i is the sonar of reading ``order[i]``."""
+    out = np.empty_like(mounts)
+    out[list(order)] = mounts
+    return out
+
+
+def ranked(readings: Readings, robot: Robot) -> list[Ranked]:
+    """All variants that differ, the one of the sharpest walls first; of those alike the simplest is kept."""
+    parts, half = (
+        some(windows(readings), MOST_PARTS),
+        max(robot.beam_width_rad / 2, np.deg2rad(8.0)) + np.deg2rad(4.0),
+    )
+    ranges = readings.near()
+    echoes = max(int(np.isfinite(ranges).sum()), 1)
+    out: list[Ranked] = []
+    for variant in variants(robot):
+        if any(_alike(variant, other.variant) for other in out):
+            continue
+        walls = find(sonars_at(_posed(readings, variant).poses, variant.mounts), ranges, parts, half)
+        touching = np.array(
+            [int(np.sum((walls.frame >= p.start) & (walls.frame < p.stop))) for p in parts], dtype=int
+        )
+        out.append(Ranked(variant, touching, float(touching.sum()) / echoes))
+    return sorted(out, key=lambda each: -each.share)
+
+
+def _alike(one: Variant, other: Variant) -> bool:
+    return one.poses == other.poses and bool(
+        np.abs(one.mounts[:, :2] - other.mounts[:, :2]).max() < SAME_M
+        and np.abs(np.exp(1j * one.mounts[:, 2]) - np.exp(1j * other.mounts[:, 2])).max() < SAME_M
+    )
+
+
+def applied(readings: Readings, robot: Robot, variant: Variant) -> tuple[Readings, Robot]:
+    """A drive and its robot as a variant has them."""
+    return _posed(readings, variant), replace(robot, mounts=variant.mounts)
+
+
+def _posed(readings: Readings, variant: Variant) -> Readings:
+    return replace(readings, poses=readings.poses * POSES[variant.poses]) if variant.poses else readings
