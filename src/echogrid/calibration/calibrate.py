@@ -16,8 +16,8 @@ from echogrid.calibration.beams import Beams, Chances
 from echogrid.calibration.health import Health, examine
 from echogrid.calibration.places import Places
 from echogrid.calibration.readings import Readings, gather, some, windows
-from echogrid.calibration.swaps import agreement, seats
-from echogrid.calibration.variants import AS_GIVEN, Ranked, applied, ranked
+from echogrid.calibration.swaps import agreement, circles
+from echogrid.calibration.variants import AS_GIVEN, Ranked, Variant, applied, judged, ranked
 from echogrid.calibration.walls import find, sonars_at
 from echogrid.errors import InputError
 from echogrid.frame import Frame, Log
@@ -39,9 +39,13 @@ LEAST_HALF_RAD = np.deg2rad(8.0)
 ODD = 0.05
 """A sonar that agrees less with the walls (log-likelihood a wall) helps not to find them where swaps are sought."""
 
-SOFT_RAD = np.deg2rad(2.2)
-"""A beam whose edge seems softer has looked at rough walls, which are heard far off the axis too: mounts stay as they
-were given, for what rough walls say of them is worse than a ruler."""
+SHARPER = 2.0
+"""Walls have to become sharper by so many standard deviations where sonars are taken to be swapped."""
+
+SOFT_RAD, LEAST_SHARE, MOST_APART = np.deg2rad(2.2), 0.55, 4.0
+"""A beam whose edge seems softer has looked at rough walls, which are heard far off the axis too; of an array whose
+echoes touch walls less often something else is wrong, and halves of a drive that differ so many times their spread
+hang on chance. Then mounts, beam and scale stay as they were given: what is told then is worse than a ruler."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,7 @@ class Calibration:
     """What a log says of the robot that drove."""
 
     robot: Robot
-    """With the mounts and the beam that were found."""
+    """With the mounts and the beam that were found, if they were."""
     given: Robot
     """As it was said to be, in the order that was found."""
     health: Health
@@ -95,9 +99,16 @@ class Calibration:
         return self.places.scale_sd * self.inflation[2]
 
     @property
-    def rough(self) -> bool:
-        """Whether walls are so rough that the mounts were left as they were given."""
-        return self.beams.soft > SOFT_RAD
+    def unsure(self) -> str:
+        """Why mounts, beam and scale were left as they were given; empty: they were not."""
+        soft = np.rad2deg(self.beams.soft)
+        if self.beams.soft > SOFT_RAD:
+            return f"the edge of the beam is soft by {soft:.1f} degrees, as before rough walls"
+        if self.share < LEAST_SHARE:
+            return f"{self.share:.0%} of the echoes touch walls that the drive agrees on, too few"
+        if max(self.inflation[:2]) > MOST_APART:
+            return f"two halves of the drive differ by {max(self.inflation[:2]):.1f} times what is likely"
+        return ""
 
 
 class _Fitted(NamedTuple):
@@ -131,13 +142,18 @@ def calibrate(frames: Iterable[Frame], robot: Robot) -> Calibration:
     given = replace(given, mounts=given.mounts[seat])
     whole = _fitted(useful, given, parts, name)
     inflation = _inflation(useful, given, parts)
-    mounts = np.column_stack([whole.places.mounts[:, :2], whole.beams.yaw])
-    left = list(range(robot.sonars)) if whole.beams.soft > SOFT_RAD else health.useless
-    mounts[left] = given.mounts[left]
-    width = float(np.clip(2 * whole.beams.half, np.deg2rad(1.0), np.pi))
-    found = replace(robot, mounts=mounts, beam_width_rad=width)
     echoes = int(np.isfinite(useful.only(parts).near()).sum())
-    return Calibration(found, given, health, ranks, taken, seat, *whole, inflation, echoes)
+    found = Calibration(given, given, health, ranks, taken, seat, *whole, inflation, echoes)
+    return found if found.unsure else replace(found, robot=_robot(found))
+
+
+def _robot(found: Calibration) -> Robot:
+    """The robot as it was found; sonars that say nothing stay where they were said to be."""
+    mounts = found.given.mounts + found.moved
+    mounts[:, 2] = wrap(mounts[:, 2])
+    mounts[found.health.useless] = found.given.mounts[found.health.useless]
+    width = float(np.clip(2 * found.beams.half, np.deg2rad(1.0), np.pi))
+    return replace(found.given, mounts=mounts, beam_width_rad=width)
 
 
 def _taken(ranks: list[Ranked]) -> Ranked:
@@ -182,7 +198,16 @@ def _seats(readings: Readings, given: Robot, parts: list[slice], name: str) -> l
         if not odd or len(odd) > given.sonars // 3:
             break
         helping = readings.without(odd)
-    return seats(told).tolist()
+    seat = np.arange(given.sonars)
+    as_given = judged(readings, Variant(AS_GIVEN, given.mounts), parts, given.beam_width_rad)
+    for circle in circles(told):
+        # What single sonars say has to make the whole sharper.
+        there = np.arange(given.sonars)
+        there[list(circle)] = list(circle.values())
+        swapped = judged(readings, Variant("swapped", given.mounts[there]), parts, given.beam_width_rad)
+        if swapped.over(as_given) > SHARPER:
+            seat[list(circle)] = list(circle.values())
+    return seat.tolist()
 
 
 def _inflation(readings: Readings, given: Robot, parts: list[slice]) -> tuple[float, float, float]:

@@ -12,6 +12,7 @@ DOUBTED = 1.5
 """From so many standard deviations on it is told that another variant than the given one is likelier."""
 
 SCALE_OFF, SURE = 0.005, 1.96
+_WIDE_RAD, _WIDE_M = np.deg2rad(5.0), 0.05
 
 
 def of_health(health: Health) -> Iterator[str]:
@@ -44,7 +45,7 @@ def _share(health: Health, what: str, which: np.ndarray) -> str:
 def _named(sonars: list[int]) -> str:
     shown = ", ".join(f"r{i}" for i in sonars[:8])
     more = f" and {len(sonars) - 8} more" if len(sonars) > 8 else ""
-    return f"{shown}{more}:" if len(sonars) > 1 else f"{shown}"
+    return f"{shown}{more}"
 
 
 def of_order(ranks: list[Ranked]) -> Iterator[str]:
@@ -68,6 +69,8 @@ def of_swaps(found: Calibration) -> Iterator[str]:
 
 def of_ranges(found: Calibration) -> Iterator[str]:
     """Whether ranges and poses have one scale."""
+    if found.unsure:
+        return
     scale, sd = found.places.scale, found.scale_sd
     if abs(scale - 1) > max(SCALE_OFF, SURE * sd):
         what = f"ranges read {scale:.4f} m a metre of the poses (+-{SURE * sd:.4f})"
@@ -77,13 +80,10 @@ def of_ranges(found: Calibration) -> Iterator[str]:
 def untold(found: Calibration) -> Iterator[str]:
     """What cannot be told from the log."""
     yield "an offset of all ranges, and how far out all sonars sit: walls move with them; a tape tells"
-    if found.rough:
-        soft = np.rad2deg(found.beams.soft)
-        what = f"the edge of the beam is soft ({soft:.1f} degrees), as before rough walls"
-        yield f"the mounts: {what}; left as they were given: drive along smooth walls"
-    wide = np.flatnonzero(found.moved_sd[:, 2] * SURE > np.deg2rad(5.0)).tolist()
-    if wide and not found.rough:
-        yield f"the axis of {_named(wide)} to better than 5 degrees: turn the robot beside a wall, both ways"
-    far = np.flatnonzero(found.moved_sd[:, :2].max(axis=1) * SURE > 0.05).tolist()
-    if far and not found.rough:
-        yield f"the place of {_named(far)} to better than 5 cm: turn the robot beside a wall, both ways"
+    if found.unsure:
+        yield f"mounts, beam, range scale: {found.unsure}; left as given: drive along smooth, straight walls"
+        return
+    turned, moved = found.moved_sd[:, 2] * SURE > _WIDE_RAD, found.moved_sd[:, :2].max(axis=1) * SURE > _WIDE_M
+    for which, what in ((turned, "axis to better than 5 degrees"), (moved, "place to better than 5 cm")):
+        if which.any():
+            yield f"of {_named(np.flatnonzero(which).tolist())} the {what}: turn the robot beside a wall, both ways"

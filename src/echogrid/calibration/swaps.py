@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy import ndarray
 from scipy.optimize import linear_sum_assignment
 
@@ -53,16 +53,18 @@ def agreement(
     return out
 
 
-def seats(agreement: Float[ndarray, "sonars mounts"]) -> Int[ndarray, "sonars"]:
-    """The mount of each sonar; its own unless others explain what was heard much better, all round."""
+def circles(agreement: Float[ndarray, "sonars mounts"]) -> list[dict[int, int]]:
+    """Sonars that sit at each other's mounts, all round: the mount of each, which explains much better what it heard."""
     n = len(agreement)
     _, best = linear_sum_assignment(-(agreement + GAIN * np.eye(n)))
-    seat = np.arange(n)
+    out, done = [], set[int]()
     for start in range(n):
         circle = [start]
         while (following := int(best[circle[-1]])) != start:
             circle.append(following)
-        more = [agreement[i, best[i]] - agreement[i, i] for i in circle]
-        if len(circle) > 1 and min(more) > GAIN:
-            seat[circle] = best[circle]
-    return seat
+        if start in done or len(circle) == 1:
+            continue
+        done |= set(circle)
+        if min(agreement[i, best[i]] - agreement[i, i] for i in circle) > GAIN:
+            out.append({i: int(best[i]) for i in circle})
+    return out

@@ -115,22 +115,22 @@ def _at(mounts: Float[ndarray, "sonars 3"], order: tuple[int, ...] | list[int]) 
 
 def ranked(readings: Readings, robot: Robot) -> list[Ranked]:
     """All variants that differ, the one of the sharpest walls first; of those alike the simplest is kept."""
-    parts, half = (
-        some(windows(readings), MOST_PARTS),
-        max(robot.beam_width_rad / 2, np.deg2rad(8.0)) + np.deg2rad(4.0),
-    )
-    ranges = readings.near()
-    echoes = max(int(np.isfinite(ranges).sum()), 1)
+    parts = some(windows(readings), MOST_PARTS)
     out: list[Ranked] = []
     for variant in variants(robot):
-        if any(_alike(variant, other.variant) for other in out):
-            continue
-        walls = find(sonars_at(_posed(readings, variant).poses, variant.mounts), ranges, parts, half)
-        touching = np.array(
-            [int(np.sum((walls.frame >= p.start) & (walls.frame < p.stop))) for p in parts], dtype=int
-        )
-        out.append(Ranked(variant, touching, float(touching.sum()) / echoes))
+        if not any(_alike(variant, other.variant) for other in out):
+            out.append(judged(_posed(readings, variant), variant, parts, robot.beam_width_rad))
     return sorted(out, key=lambda each: -each.share)
+
+
+def judged(readings: Readings, variant: Variant, parts: list[slice], beam_width: float) -> Ranked:
+    """How sharp the walls are of a drive whose poses are as a variant has them; beam width in rad."""
+    ranges, half = readings.only(parts).near(), max(beam_width / 2, np.deg2rad(8.0)) + np.deg2rad(4.0)
+    walls = find(sonars_at(readings.poses, variant.mounts), ranges, parts, half)
+    touching = np.array(
+        [np.sum((walls.frame >= part.start) & (walls.frame < part.stop)) for part in parts], dtype=int
+    )
+    return Ranked(variant, touching, float(touching.sum()) / max(int(np.isfinite(ranges).sum()), 1))
 
 
 def _alike(one: Variant, other: Variant) -> bool:

@@ -13,6 +13,7 @@ from echogrid.cli.poses import corrected, pose_settings
 from echogrid.errors import InputError, escaped
 from echogrid.files import made
 from echogrid.frame import Frame, Log
+from echogrid.geometry import wrap
 from echogrid.logs.contents import LogInfo, describe
 from echogrid.robot import Robot
 
@@ -77,7 +78,8 @@ def _print_table(found: "Calibration") -> None:
     from echogrid.output.calibration_files import state
 
     print("sonar       x, m           y, m        axis, degrees    turned   echoes  state")
-    there = np.column_stack([found.given.mounts + found.moved])
+    there = found.given.mounts + found.moved
+    there[:, 2] = wrap(there[:, 2])
     sd = _SURE * found.moved_sd
     for i in range(found.robot.sonars):
         (x, y, axis), (dx, dy, turn) = there[i], sd[i]
