@@ -219,5 +219,6 @@ def _inflation(readings: Readings, given: Robot, parts: list[slice]) -> tuple[fl
     apart = (one.places.mounts - other.places.mounts)[:, :2] / np.hypot(one.places.place_sd, other.places.place_sd)
     turned = wrap(one.beams.yaw - other.beams.yaw) / np.hypot(one.beams.yaw_sd, other.beams.yaw_sd)
     scaled = (one.places.scale - other.places.scale) / np.hypot(one.places.scale_sd, other.places.scale_sd)
-    place, axis, scale = (max(1.0, float(np.sqrt(np.mean(each**2)))) for each in (apart, turned, np.array(scaled)))
-    return place, axis, scale
+    place, axis = (max(1.0, float(np.sqrt(np.mean(each**2)))) for each in (apart, turned))
+    # One number hangs on chance: that of the places, which are fitted with it, counts four times as much.
+    return place, axis, float(np.sqrt((4 * place**2 + scaled**2) / 5))

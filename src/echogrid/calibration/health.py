@@ -94,11 +94,13 @@ def _repeats(ranges: Float[ndarray, "frames"], poses: Float[ndarray, "frames 3"]
         return float("nan"), False
     change = np.abs(ranges[1:][both] - ranges[:-1][both])
     share = float(np.mean(change == 0))
-    # Ranges come in steps (1 cm, say), and those that hardly change are the same by chance: as often as one step off.
+    # Ranges that come in steps (1 cm, say) are the same by chance: as often as one step off, or always where a step
+    # is long beside what the robot drives from scan to scan.
     steps = change[change > 1e-9]
     quantum = float(np.min(steps)) if len(steps) else np.inf
     chance = float(np.mean(np.abs(change - quantum) < 0.1 * quantum)) / 2
-    return share, share > STALE and share > OVER_CHANCE * chance
+    way = float(np.median(np.hypot(step[:, 0], step[:, 1])[both]))
+    return share, quantum < way and share > STALE and share > OVER_CHANCE * chance
 
 
 def _spikes(ranges: Float[ndarray, "echoes"]) -> float:

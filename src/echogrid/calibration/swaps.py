@@ -9,8 +9,8 @@ from scipy.optimize import linear_sum_assignment
 
 from echogrid.calibration.beams import LEAST_CHANCES, NEAREST_M, Beams
 from echogrid.calibration.readings import Readings
-from echogrid.calibration.walls import Walls, sonars_at
-from echogrid.geometry import wrap
+from echogrid.calibration.walls import Walls
+from echogrid.geometry import compose, wrap
 
 NEAR_M, SOFT_RAD = 0.05, np.deg2rad(3.0)
 """How far off places and axes may be that are only to be told from those of other sonars."""
@@ -35,7 +35,7 @@ def agreement(
             for first, last in parts:
                 which = np.flatnonzero((walls.span == (first, last)).all(axis=1))
                 f, w = (each.ravel() for each in np.meshgrid(np.arange(first, last), which, indexing="ij"))
-                at = sonars_at(readings.poses[f, sonar], mounts[mount])
+                at = compose(readings.poses[f, sonar], mounts[mount])
                 distance, to, along = walls.seen(w, at[:, :2])
                 miss = readings.ranges[f, sonar] / scale - distance
                 low, high = walls.extent[w].T
@@ -54,7 +54,7 @@ def agreement(
 
 
 def circles(agreement: Float[ndarray, "sonars mounts"]) -> list[dict[int, int]]:
-    """Sonars that sit at each other's mounts, all round: the mount of each, which explains much better what it heard."""
+    """Sonars that sit at each other's mounts, all round: the mount of each, which explains far better what it says."""
     n = len(agreement)
     _, best = linear_sum_assignment(-(agreement + GAIN * np.eye(n)))
     out, done = [], set[int]()

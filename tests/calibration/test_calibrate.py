@@ -1,0 +1,136 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from echogrid.calibration import findings
+from echogrid.calibration.calibrate import calibrate
+from echogrid.calibration.health import examine
+from echogrid.calibration.readings import gather, some
+from echogrid.calibration.variants import AS_GIVEN, ranked, variants
+from echogrid.errors import InputError
+from echogrid.frame import Frame
+from echogrid.geometry import compose, wrap
+from mirror_room import HALF_DEG, changed, frames_of, ring
+
+TRUE = ring()
+FRAMES = frames_of(TRUE)
+
+
+def off_by_a_little(robot, seed):
+    rng = np.random.default_rng(seed)
+    wrong = np.column_stack([rng.normal(0, 0.02, (robot.sonars, 2)), np.deg2rad(rng.normal(0, 3, robot.sonars))])
+    # How far out all sit no log tells: the mean stays.
+    out = np.stack([np.cos(robot.mounts[:, 2]), np.sin(robot.mounts[:, 2])], axis=1)
+    wrong[:, :2] -= np.mean(np.sum(wrong[:, :2] * out, axis=1)) * out
+    return replace(robot, mounts=robot.mounts + wrong, beam_width_rad=np.deg2rad(32.0))
+
+
+@pytest.fixture(scope="module")
+def found():
+    return calibrate(frames_of(TRUE, scale=1.02, seed=1), off_by_a_little(TRUE, 2))
+
+
+def test_mounts_beam_and_scale_are_those_that_made_the_log(found):
+    assert found.unsure == ""
+    off = found.robot.mounts - TRUE.mounts
+    assert np.abs(off[:, :2]).max() < 0.02
+    assert np.abs(np.rad2deg(wrap(off[:, 2]))).max() < 1.0
+    assert np.rad2deg(found.robot.beam_width_rad) == pytest.approx(2 * HALF_DEG, abs=3.0)
+    assert found.places.scale == pytest.approx(1.02, abs=0.005)
+
+
+def test_intervals_hold_the_truth(found):
+    there = found.given.mounts + found.moved
+    off = there - TRUE.mounts
+    off[:, 2] = wrap(off[:, 2])
+    assert np.mean(np.abs(off) < 3 * found.moved_sd) > 0.9
+
+
+def test_a_wrong_scale_is_told_and_a_right_one_is_not(found):
+    assert any("ranges read 1.0" in line for line in findings.of_ranges(found))
+    assert not list(findings.of_swaps(found))
+    assert not list(findings.of_order(found.ranks))
+    assert not list(findings.of_health(found.health))
+
+
+def test_swapped_and_dead_sonars_are_found():
+    def change(ranges):
+        ranges[:, [1, 4]] = ranges[:, [4, 1]]
+        ranges[:, 6] = np.inf
+        return ranges
+
+    found = calibrate(changed(FRAMES, change), TRUE)
+    assert sorted(found.swapped) == [(1, 4), (4, 1)]
+    assert found.health.useless == [6]
+    assert "r1 at the mount of r4" in " ".join(findings.of_swaps(found))
+    assert "r6 never hears" in " ".join(findings.of_health(found.health))
+
+
+@pytest.mark.parametrize("which", [1, 2, 5, 9])
+def test_what_is_wrong_with_the_order_or_the_mounts_comes_first(which):
+    wrong = [v for v in variants(TRUE) if not v.poses][which]
+    ranks = ranked(gather(FRAMES, TRUE), replace(TRUE, mounts=wrong.mounts))
+    first = ranks[0].variant.mounts
+    assert np.allclose(first[:, :2], TRUE.mounts[:, :2], atol=0.02)
+    given = next(each for each in ranks if each.variant.name == AS_GIVEN)
+    assert ranks[0].surely_over(given)
+    assert len(list(findings.of_order(ranks))) == 1
+
+
+def test_the_right_robot_comes_first_and_nothing_is_said():
+    ranks = ranked(gather(FRAMES, TRUE), TRUE)
+    assert ranks[0].variant.name == AS_GIVEN
+    assert not list(findings.of_order(ranks))
+
+
+def test_a_clockwise_heading_is_told():
+    frames = [replace(frame, pose=frame.pose * [1, 1, -1]) for frame in FRAMES]
+    assert "theta is counted clockwise" in " ".join(findings.of_order(ranked(gather(frames, TRUE), TRUE)))
+
+
+def test_sonars_that_are_stuck_stale_or_hear_others_are_told_and_no_others():
+    rng = np.random.default_rng(3)
+
+    def change(ranges):
+        ranges[:, 2] = 1.25
+        for i in range(1, len(ranges)):
+            if rng.random() < 0.4:
+                ranges[i, 3] = ranges[i - 1, 3]
+        hit = rng.random(len(ranges)) < 0.15
+        ranges[hit, 5] = rng.uniform(0.1, 0.5, hit.sum())
+        ranges[:, 7] = np.nan
+        return ranges
+
+    health = examine(gather(changed(FRAMES, change), TRUE))
+    assert np.flatnonzero(health.stuck).tolist() == [2]
+    assert np.flatnonzero(health.stale).tolist() == [3]
+    assert np.flatnonzero(health.cross_talk).tolist() == [5]
+    assert np.flatnonzero(health.silent).tolist() == [7]
+
+
+def test_ranges_in_coarse_steps_are_not_stale():
+    health = examine(gather(changed(FRAMES, lambda ranges: np.round(ranges, 1)), TRUE))
+    assert not health.stale.any()
+
+
+def test_too_little_is_an_error_of_one_line():
+    with pytest.raises(InputError, match="no echo of any sonar"):
+        calibrate(changed(FRAMES, lambda ranges: np.full_like(ranges, np.inf)), TRUE)
+    with pytest.raises(InputError, match="echoes that touch"):
+        calibrate(FRAMES[:40], TRUE)
+    with pytest.raises(InputError, match="no frames"):
+        calibrate([], TRUE)
+
+
+def test_the_frame_of_the_world_does_not_matter():
+    moved = [Frame(f.stamp, compose(np.array([30.0, -7.0, 1.1]), f.pose), f.ranges) for f in FRAMES]
+    here, there = (ranked(gather(frames, TRUE), TRUE)[0] for frames in (FRAMES, moved))
+    assert there.variant.name == here.variant.name
+    assert there.share == pytest.approx(here.share, abs=0.03)
+
+
+def test_parts_are_spread_over_the_drive():
+    parts = [slice(i, i + 1) for i in range(100)]
+    assert some(parts, 200) == parts
+    assert [part.start for part in some(parts, 3)] in ([0, 50, 99], [0, 49, 99])
