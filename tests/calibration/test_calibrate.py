@@ -64,7 +64,7 @@ def test_swapped_and_dead_sonars_are_found():
     assert sorted(found.swapped) == [(1, 4), (4, 1)]
     assert found.health.useless == [6]
     assert "r1 at the mount of r4" in " ".join(findings.of_swaps(found))
-    assert "r6 never hears" in " ".join(findings.of_health(found.health))
+    assert "r6: no echo ever" in " ".join(findings.of_health(found.health))
 
 
 @pytest.mark.parametrize("which", [1, 2, 5, 9])

@@ -18,13 +18,13 @@ _WIDE_RAD, _WIDE_M = np.deg2rad(5.0), 0.05
 def of_health(health: Health) -> Iterator[str]:
     """What is amiss with sonars."""
     kinds = (
-        (health.silent, "has no valid reading", "is it connected? leave it out, or mend it"),
-        (health.dead & ~health.silent, "never hears an echo, though others do", "is it blind, covered, or too weak?"),
-        (health.stuck, "says one value wherever the robot is", "has its driver died, or does it see the robot?"),
-        (health.stale, "repeats its last value while the robot moves", "poll it no faster than it measures"),
+        (health.silent, "no valid reading", "is it connected? leave it out, or mend it"),
+        (health.dead & ~health.silent, "no echo ever, though others hear some", "is it blind, covered, or too weak?"),
+        (health.stuck, "one value wherever the robot is", "has its driver died, or does it see the robot?"),
+        (health.stale, "old values again while the robot moves", "poll it no faster than it measures"),
         (
             health.cross_talk,
-            "has short readings among steady ones",
+            "short readings among steady ones",
             "does it hear the pulses of others? fire in turn",
         ),
     )
@@ -32,11 +32,11 @@ def of_health(health: Health) -> Iterator[str]:
         if not which.any():
             continue
         share = _share(health, what, which)
-        yield f"{_named(np.flatnonzero(which).tolist())} {what}{share}: {remedy}"
+        yield f"{_named(np.flatnonzero(which).tolist())}: {what}{share}: {remedy}"
 
 
 def _share(health: Health, what: str, which: np.ndarray) -> str:
-    values = health.repeats if "repeats" in what else health.spikes if "short" in what else None
+    values = health.repeats if "old values" in what else health.spikes if "short" in what else None
     if "one value" in what:
         return f" ({health.value[which][0]:g} m)"
     return "" if values is None else f" (in {np.min(values[which]):.0%} to {np.max(values[which]):.0%} of its echoes)"

@@ -15,8 +15,8 @@ LEAST_READINGS = 50
 OTHERS_HEAR = 0.2
 """A sonar without an echo is dead if the median sonar has one in so many of its readings."""
 
-STUCK, STUCK_M = 0.5, 1.0
-"""A sonar is stuck if one value, over so long a way, is such a share of its echoes."""
+STUCK, STUCK_M, STUCK_RAD = 0.5, 1.0, 1.0
+"""A sonar is stuck if one value, over so long a way and so much turning, is such a share of its echoes."""
 
 STALE, OVER_CHANCE = 0.1, 3.0
 """Echoes that repeat the one before while the robot moves are old ones from such a share on, if there are so many
@@ -75,7 +75,9 @@ def examine(readings: Readings) -> Health:
         values, of, counts = np.unique(ranges[heard, i], return_inverse=True, return_counts=True)
         most = int(np.argmax(counts))
         way = np.ptp(place[heard[of == most], i], axis=0)
-        value[i], stuck[i] = values[most], counts[most] > STUCK * len(heard) and np.hypot(*way) > STUCK_M
+        heading = np.unwrap(readings.poses[heard[of == most], i, 2])
+        value[i], often = values[most], counts[most] > STUCK * len(heard)
+        stuck[i] = often and np.hypot(*way) > STUCK_M and np.ptp(heading) > STUCK_RAD
         repeats[i], stale[i] = _repeats(ranges[:, i], readings.poses[:, i])
         spikes[i] = _spikes(ranges[heard, i])
     flags = [np.nan_to_num(each) > 0 for each in (stuck, stale)]
@@ -86,19 +88,24 @@ def examine(readings: Readings) -> Health:
 
 
 def _repeats(ranges: Float[ndarray, "frames"], poses: Float[ndarray, "frames 3"]) -> tuple[float, bool]:
-    """Share of echoes that are the same as before though the robot moved, and whether chance explains it."""
+    """Share of echoes that are the same as before though the robot moved, and whether chance explains it.
+
+    Only after a change are they counted: a robot that drives beside a wall may hear the same for long.
+    """
     step = np.diff(poses, axis=0)
     moved = (np.hypot(step[:, 0], step[:, 1]) > MOVED_M) | (np.abs(wrap(step[:, 2])) > MOVED_RAD)
-    both = np.isfinite(ranges[1:]) & np.isfinite(ranges[:-1]) & moved
-    if both.sum() < LEAST_READINGS:
+    finite = np.isfinite(ranges)
+    change = np.abs(np.diff(np.where(finite, ranges, 0.0)))
+    both = finite[1:] & finite[:-1] & moved
+    asked = both[1:] & both[:-1] & (change[:-1] > 0)
+    if asked.sum() < LEAST_READINGS:
         return float("nan"), False
-    change = np.abs(ranges[1:][both] - ranges[:-1][both])
-    share = float(np.mean(change == 0))
+    share = float(np.mean(change[1:][asked] == 0))
     # Ranges that come in steps (1 cm, say) are the same by chance: as often as one step off, or always where a step
     # is long beside what the robot drives from scan to scan.
-    steps = change[change > 1e-9]
+    steps = change[both & (change > 1e-9)]
     quantum = float(np.min(steps)) if len(steps) else np.inf
-    chance = float(np.mean(np.abs(change - quantum) < 0.1 * quantum)) / 2
+    chance = float(np.mean(np.abs(change[1:][asked] - quantum) < 0.1 * quantum)) / 2
     way = float(np.median(np.hypot(step[:, 0], step[:, 1])[both]))
     return share, quantum < way and share > STALE and share > OVER_CHANCE * chance
 

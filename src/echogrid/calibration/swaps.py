@@ -54,7 +54,7 @@ def agreement(
 
 
 def circles(agreement: Float[ndarray, "sonars mounts"]) -> list[dict[int, int]]:
-    """Sonars that sit at each other's mounts, all round: the mount of each, which explains far better what it says."""
+    """Sonars that sit at each other's mounts, all round: the mount of each, which explains better what it hears."""
     n = len(agreement)
     _, best = linear_sum_assignment(-(agreement + GAIN * np.eye(n)))
     out, done = [], set[int]()
