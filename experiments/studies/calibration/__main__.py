@@ -54,6 +54,9 @@ def trial(name: str, walls: str, number: int) -> str:
     scale, given = 1 + rng.uniform(-0.03, 0.03), wrong(robot, rng)
     one, two, dead = rng.choice(robot.sonars, 3, replace=False)
     ranges = robot.clean(scale * np.array([frame.ranges for frame in frames]))
+    mirrored = replace(given, mounts=given.mounts * [1, -1, -1])
+    whole = [Frame(frame.stamp, frame.pose, row.copy()) for frame, row in zip(frames, ranges, strict=True)]
+    first = np.allclose(ranked(gather(whole, robot), mirrored)[0].variant.mounts, given.mounts)
     ranges[:, [one, two]] = ranges[:, [two, one]]
     ranges[:, dead] = np.inf
     frames = [Frame(frame.stamp, frame.pose, row) for frame, row in zip(frames, ranges, strict=True)]
@@ -66,8 +69,6 @@ def trial(name: str, walls: str, number: int) -> str:
     off = np.delete((found.given.mounts + found.moved - true), dead, axis=0)
     off[:, 2] = np.rad2deg(wrap(off[:, 2]))
     swaps = sorted(found.swapped) == sorted([(one, two), (two, one)])
-    mirrored = ranked(gather(frames, robot), replace(given, mounts=given.mounts * [1, -1, -1]))
-    first = np.allclose(mirrored[0].variant.mounts, given.mounts)
     place, axis = np.sqrt(np.mean(off[:, :2] ** 2)), np.sqrt(np.mean(off[:, 2] ** 2))
     within = f"{np.mean(np.abs(off[:, :2]) < 0.02):.2f} {np.mean(np.abs(off[:, 2]) < 1.0):.2f}"
     beam, ratio = np.rad2deg(2 * found.beams.half) - null, found.places.scale / scale - 1

@@ -5,6 +5,7 @@ docs/how-to/calibrate.md tells how it works and what it reaches.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from echogrid.calibration.beams import Beams, Chances
 from echogrid.calibration.health import Health, examine
 from echogrid.calibration.places import Places
 from echogrid.calibration.readings import Readings, gather, some, windows
-from echogrid.calibration.swaps import agreement, circles
+from echogrid.calibration.swaps import agreement, likely_pairs
 from echogrid.calibration.variants import AS_GIVEN, Ranked, Variant, applied, judged, ranked
 from echogrid.calibration.walls import find, sonars_at
 from echogrid.errors import InputError
@@ -36,11 +37,10 @@ WIDER_RAD = np.deg2rad([8.0, 6.0, 4.0, 3.0, 3.0])
 
 LEAST_HALF_RAD = np.deg2rad(8.0)
 
-ODD = 0.05
-"""A sonar that agrees less with the walls (log-likelihood a wall) helps not to find them where swaps are sought."""
-
-SHARPER = 2.0
-"""Walls have to become sharper by so many standard deviations where sonars are taken to be swapped."""
+SHARPER, CANDIDATES, FEWEST, MOST_SWAPS = 2.0, 6, 5, 4
+"""Walls have to become sharper by so many standard deviations where two sonars are taken to be swapped. So many pairs
+that speak for it are tried, and those of so many sonars whose echoes touch the fewest walls; again after each swap
+that is found, up to so many."""
 
 SOFT_RAD, LEAST_SHARE, MOST_APART = np.deg2rad(2.2), 0.55, 4.0
 """A beam whose edge seems softer has looked at rough walls, which are heard far off the axis too; of an array whose
@@ -188,25 +188,27 @@ def _fitted(readings: Readings, given: Robot, parts: list[slice], name: str, rou
 
 
 def _seats(readings: Readings, given: Robot, parts: list[slice], name: str) -> list[int]:
-    """The mount of each sonar: walls are found by those that agree, and the others tried at each other's mounts."""
-    helping, odd = readings, list[int]()
-    told = np.zeros((0, 0))
-    for _ in range(2):
-        place, beam, _ = _fitted(helping, given, parts, name, rounds=2)
-        told = agreement(readings, given.mounts, beam, place.scale, place.walls, place.miss_m)
-        odd = np.flatnonzero(np.diag(told) < ODD).tolist()
-        if not odd or len(odd) > given.sonars // 3:
-            break
-        helping = readings.without(odd)
+    """The mount of each sonar: likely pairs change places as long as that makes the walls sharper."""
     seat = np.arange(given.sonars)
-    as_given = judged(readings, Variant(AS_GIVEN, given.mounts), parts, given.beam_width_rad)
-    for circle in circles(told):
-        # What single sonars say has to make the whole sharper.
-        there = np.arange(given.sonars)
-        there[list(circle)] = list(circle.values())
-        swapped = judged(readings, Variant("swapped", given.mounts[there]), parts, given.beam_width_rad)
-        if swapped.over(as_given) > SHARPER:
-            seat[list(circle)] = list(circle.values())
+    hearing = np.isfinite(readings.only(parts).near()).sum(axis=0)
+    for _ in range(MOST_SWAPS):
+        now = replace(given, mounts=given.mounts[seat])
+        place, beam, _ = _fitted(readings, now, parts, name, rounds=2)
+        told = agreement(readings, now.mounts, beam, place.scale, place.walls, place.miss_m)
+        as_is = judged(readings, Variant(AS_GIVEN, now.mounts), parts, now.beam_width_rad)
+        best, most = None, SHARPER
+        touching = np.bincount(place.walls.sonar, minlength=len(seat)) / np.maximum(hearing, 1)
+        touching[hearing == 0] = np.inf
+        least = sorted(np.argsort(touching)[:FEWEST].tolist())
+        for one, two in {*likely_pairs(told, CANDIDATES), *combinations(least, 2)}:
+            mounts = now.mounts.copy()
+            mounts[[one, two]] = mounts[[two, one]]
+            sharper = judged(readings, Variant("swapped", mounts), parts, now.beam_width_rad).over(as_is)
+            if sharper > most:
+                best, most = [one, two], sharper
+        if best is None:
+            break
+        seat[best] = seat[best[::-1]]
     return seat.tolist()
 
 

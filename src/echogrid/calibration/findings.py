@@ -39,7 +39,7 @@ def _share(health: Health, what: str, which: np.ndarray) -> str:
     values = health.repeats if "old values" in what else health.spikes if "short" in what else None
     if "one value" in what:
         return f" ({health.value[which][0]:g} m)"
-    return "" if values is None else f" (in {np.min(values[which]):.0%} to {np.max(values[which]):.0%} of its echoes)"
+    return "" if values is None else f" (in up to {np.max(values[which]):.0%} of its echoes)"
 
 
 def _named(sonars: list[int]) -> str:

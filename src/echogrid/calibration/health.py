@@ -18,7 +18,7 @@ OTHERS_HEAR = 0.2
 STUCK, STUCK_M, STUCK_RAD = 0.5, 1.0, 1.0
 """A sonar is stuck if one value, over so long a way and so much turning, is such a share of its echoes."""
 
-STALE, OVER_CHANCE = 0.1, 3.0
+STALE, OVER_CHANCE = 0.2, 3.0
 """Echoes that repeat the one before while the robot moves are old ones from such a share on, if there are so many
 times as many as of the next values of its steps."""
 

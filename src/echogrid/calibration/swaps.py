@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from scipy.optimize import linear_sum_assignment
 
 from echogrid.calibration.beams import LEAST_CHANCES, NEAREST_M, Beams
 from echogrid.calibration.readings import Readings
@@ -14,10 +13,6 @@ from echogrid.geometry import compose, wrap
 
 NEAR_M, SOFT_RAD = 0.05, np.deg2rad(3.0)
 """How far off places and axes may be that are only to be told from those of other sonars."""
-
-GAIN = 0.15
-"""A sonar sits at another mount if so much more of its log-likelihood a wall before it is explained there; both of a
-swap have to."""
 
 
 def agreement(
@@ -53,18 +48,10 @@ def agreement(
     return out
 
 
-def circles(agreement: Float[ndarray, "sonars mounts"]) -> list[dict[int, int]]:
-    """Sonars that sit at each other's mounts, all round: the mount of each, which explains better what it hears."""
-    n = len(agreement)
-    _, best = linear_sum_assignment(-(agreement + GAIN * np.eye(n)))
-    out, done = [], set[int]()
-    for start in range(n):
-        circle = [start]
-        while (following := int(best[circle[-1]])) != start:
-            circle.append(following)
-        if start in done or len(circle) == 1:
-            continue
-        done |= set(circle)
-        if min(agreement[i, best[i]] - agreement[i, i] for i in circle) > GAIN:
-            out.append({i: int(best[i]) for i in circle})
-    return out
+def likely_pairs(agreement: Float[ndarray, "sonars mounts"], most: int) -> list[tuple[int, int]]:
+    """Pairs of sonars that agree better with each other's mounts than with their own, the most so first."""
+    own = np.diag(agreement)
+    gain = agreement + agreement.T - own[:, None] - own
+    one, two = np.triu_indices(len(own), 1)
+    order = np.argsort(-gain[one, two])[:most]
+    return [(int(one[k]), int(two[k])) for k in order if gain[one[k], two[k]] > 0]
