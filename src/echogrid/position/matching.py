@@ -46,6 +46,9 @@ FLOOR = np.array([0.015, 0.015, np.deg2rad(2.5)])
 TURNED = 1.5
 """What the spread of the heading is multiplied with, for the same reason."""
 
+ROUND_M = 0.6
+"""Poses no farther from the best are taken to be the same place."""
+
 _COUNTED = 0.05  # sureness of points by which known cells are counted: log(1 + 0.05 k) is nearly proportional to k
 
 
@@ -141,6 +144,8 @@ class Match(NamedTuple):
     """Mean over surface points alone: free floor looks alike everywhere."""
     surface_share: float
     """Of surface points that lie on known ground."""
+    unique: float
+    """What the poses round the best are worth of all on the lattice that was looked at first."""
 
 
 def match(
@@ -177,7 +182,7 @@ def match(
     levels = [(target.coarse, fewer), (target, fewer), (target, what)] if wide else [(target, what)] * 2
     spread = np.maximum(np.sqrt(np.diag(covariance)), LEAST_SPREAD)
     prior = np.linalg.inv(covariance + np.diag(LEAST_SPREAD**2 / 4))
-    centre, half, usual = guess, WINDOW * spread, None
+    centre, half, usual, unique = guess, WINDOW * spread, None, 1.0
     for level, (ground, some) in enumerate(levels):
         counts = np.full(3, count)
         if some is fewer:
@@ -192,7 +197,8 @@ def match(
             usual = _usual(told, int(np.argmax(agreed * sharpness + held)))
         new = usual[0] * told.surface_known + usual[1] * told.free_known
         posterior = (agreed - (at_first if ground is not target else FAIR) * new) * sharpness + held
-        at, mean, found = _summed_up(poses, posterior)
+        at, mean, found, alike = _summed_up(poses, posterior)
+        unique = alike if level == 0 else unique
         step = 2 * half / (counts - 1)
         found += np.diag(step**2 / 12)
         centre, half = mean, np.minimum(half, 3 * np.sqrt(np.diag(found)) + step)
@@ -208,6 +214,7 @@ def match(
         float(agreed[at] / max(known, 1)),
         surface,
         float(told.surface_known[at] / max(len(what.surface), 1)),
+        unique,
     )
 
 
@@ -219,14 +226,17 @@ def _lattice(half: Float[ndarray, "3"], counts: Int[ndarray, "3"]) -> Float[ndar
 
 def _summed_up(
     poses: Float[ndarray, "poses 3"], posterior: Float[ndarray, "poses"]
-) -> tuple[int, Float[ndarray, "3"], Float[ndarray, "3 3"]]:
-    """The best of some poses by the logarithm of what they are worth, their mean and their covariance."""
+) -> tuple[int, Float[ndarray, "3"], Float[ndarray, "3 3"], float]:
+    """The best of some poses by the logarithm of what they are worth, their mean and covariance, and what those round
+    the best are worth.
+    """
     at = int(np.argmax(posterior))
     weight = np.exp(posterior - posterior[at])
     weight /= weight.sum()
     mean = weight @ poses
     apart = poses - mean
-    return at, mean, np.einsum("n,ni,nj->ij", weight, apart, apart)
+    near = np.hypot(*(poses - poses[at])[:, :2].T) < ROUND_M
+    return at, mean, np.einsum("n,ni,nj->ij", weight, apart, apart), float(weight[near].sum())
 
 
 def _means(told: Agreement, at: int) -> tuple[float, float]:

@@ -38,6 +38,9 @@ most two places."""
 LOOP_SHARE, LOOP_AGREEMENT, LOOP_SURFACE, LOOP_SURFACE_SHARE = 0.5, 0.3, 0.1, 0.4
 """What a match must reach to close a loop, see ``Match``; without surfaces that agree all free floor is alike."""
 
+UNIQUE = 0.6
+"""Of a wide search that finds one place, see ``Match``; where several fit about as well none is taken."""
+
 WIDE_M, WIDE_RAD = 0.25, np.deg2rad(6.0)
 """A guess that is spread farther is looked for with a longer piece of the drive."""
 
@@ -444,7 +447,7 @@ class Drive:
         own = range(max(0, k - 8), k + 1)
         self._looked[1] += 1
         found = self._match(k, own, j, target, covariance, WIDE_POINTS, wide=True)
-        if found and found.share >= LOOP_SHARE and _fits(found):
+        if found and found.share >= LOOP_SHARE and _fits(found) and found.unique >= UNIQUE:
             self.matches.append(MatchEdge(j, k, found.pose, found.information, True))
 
     # Headings by the direction of walls.
