@@ -11,7 +11,7 @@ lies half a beam off. ``centred=True`` undoes that from outside, by turning each
 import os
 import subprocess
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -46,7 +46,7 @@ def available() -> bool:
 
 def version() -> str:
     """The version of MRPT that the harness runs: MRPT and three numbers."""
-    return _run(b"", "--version").decode().strip()
+    return run(HARNESS, b"", "--version").decode().strip()
 
 
 def mrpt_map(
@@ -89,7 +89,7 @@ def mrpt_map(
     Raises:
         UsageError: the harness is not built, or does not take the drive or an option.
     """
-    poses, ranges = _table(frames, robot)
+    poses, ranges = table(frames, robot)
     beam_width = robot.beam_width_rad if beam_width_rad is None else beam_width_rad
     low, shape = _cells(poses, ranges, robot, resolution, no_echo_m, max_distance_m)
     x0, y0 = (float(first * resolution) for first in low)
@@ -109,11 +109,7 @@ def mrpt_map(
         "sonars": robot.sonars,
         "frames": len(poses),
     }
-    lines = "".join(f"{key} {float(value)!r}\n" for key, value in header.items()) + "data\n"
-    drive = lines.encode() + robot.mounts.astype(float).tobytes() + np.hstack([poses, ranges]).tobytes()
-    # Through pipes: a drive of 800 frames is 170 kB, and no file can be left behind.
-    answer, _, cells = _run(drive).partition(b"\ndata\n")
-    numbers = {key: float(value) for key, value in (line.split() for line in answer.decode().splitlines())}
+    numbers, cells = asked(HARNESS, header, [robot.mounts, np.hstack([poses, ranges])])
     p_free = np.frombuffer(cells, np.float32).reshape(int(numbers["rows"]), int(numbers["cols"]))
     grid = Grid(occupied_log_odds(p_free), p_free != 0.5, resolution, (x0, y0))
     return grid, numbers["seconds"], numbers["cpu_seconds"]
@@ -124,7 +120,7 @@ def occupied_log_odds(p_free: Float[ndarray, "rows cols"]) -> Float[ndarray, "ro
     return (-logit(p_free.astype(float))).astype(np.float32)
 
 
-def _table(
+def table(
     frames: Iterable[Frame], robot: Robot
 ) -> tuple[Float[ndarray, "frames 3"], Float[ndarray, "frames sonars"]]:
     """Poses (m, rad) and ranges (m) of a drive."""
@@ -154,12 +150,33 @@ def _cells(
     return low, high - low
 
 
-def _run(drive: bytes, *arguments: str) -> bytes:
-    if not available():
-        raise UsageError(f"mrpt: found no {HARNESS}, expected it (benchmarks/mrpt/install.sh builds it)")
-    done = subprocess.run([HARNESS, *arguments], input=drive, capture_output=True, check=False)
+def asked(
+    harness: Path, header: Mapping[str, float], tables: Sequence[Float[ndarray, "..."]], *arguments: str
+) -> tuple[dict[str, float], bytes]:
+    """The numbers that a harness answers and the bytes behind them, given numbers by name and doubles.
+
+    All goes through pipes: a drive of 800 frames is 170 kB, and no file can be left behind.
+
+    Raises:
+        UsageError: the harness is not built, or does not take it.
+    """
+    lines = "".join(f"{key} {float(value)!r}\n" for key, value in header.items()) + "data\n"
+    drive = lines.encode() + b"".join(np.asarray(part, float).tobytes() for part in tables)
+    answer, _, data = run(harness, drive, *arguments).partition(b"\ndata\n")
+    return {key: float(value) for key, value in (line.split() for line in answer.decode().splitlines())}, data
+
+
+def run(harness: Path, drive: bytes, *arguments: str) -> bytes:
+    """What a harness says to a drive.
+
+    Raises:
+        UsageError: the harness is not built, or does not take it.
+    """
+    if not os.access(harness, os.X_OK):
+        raise UsageError(f"mrpt: found no {harness}, expected it (benchmarks/mrpt/install.sh builds it)")
+    done = subprocess.run([harness, *arguments], input=drive, capture_output=True, check=False)
     if done.returncode:
-        raise UsageError(done.stderr.decode(errors="replace").strip() or f"mrpt_grid: status {done.returncode}")
+        raise UsageError(done.stderr.decode(errors="replace").strip() or f"{harness.name}: status {done.returncode}")
     return done.stdout
 
 

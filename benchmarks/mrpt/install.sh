@@ -1,5 +1,5 @@
 #!/bin/sh
-# Installs MRPT from Debian's packages and builds the harness that benchmarks/mrpt.py runs, in build/ beside this file.
+# Installs MRPT from Debian's packages and builds the harnesses that benchmarks/mrpt.py and mrpt_position.py run, in build/ beside this file.
 set -eu
 
 fail() {
@@ -17,8 +17,8 @@ fi
 here=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd)
 $as_root apt-get update -q
 $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -q -y --no-install-recommends \
-    g++ make cmake libmrpt-maps-dev libmrpt-obs-dev
+    g++ make cmake libmrpt-maps-dev libmrpt-obs-dev libmrpt-slam-dev
 
 cmake -S "$here" -B "$here/build"
 cmake --build "$here/build"
-echo "built $here/build/mrpt_grid"
+echo "built $here/build/mrpt_grid and $here/build/mrpt_position"
