@@ -89,7 +89,7 @@ peers:  ## install what tests use and skip without: rosbag, Fast DDS, Chromium, 
 docs: $(READY)  ## build the documentation site into build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-mrpt:  ## build the MRPT peer for make paper and make bench (Debian packages, as root or through sudo)
+mrpt:  ## build the MRPT peers for make paper and make bench (Debian packages, as root or through sudo)
 	benchmarks/mrpt/install.sh
 
 generalise: $(READY)  ## measure the set network on rooms, arrays and physics it has not seen (about 20 minutes)

@@ -1,5 +1,6 @@
 #!/bin/sh
-# Installs MRPT from Debian's packages and builds the harnesses that benchmarks/mrpt.py and mrpt_position.py run, in build/ beside this file.
+# Installs MRPT from Debian's packages and builds the harnesses that benchmarks/mrpt.py and mrpt_position.py run, in
+# build/ beside this file.
 set -eu
 
 fail() {

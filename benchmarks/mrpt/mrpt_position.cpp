@@ -7,9 +7,9 @@
 // The drive is a text header, one "key number" to a line and then the line "data", followed by doubles in the
 // machine's byte order: `sonars` mounts of x, y (m) and axis (rad, counter-clockwise) in the robot's frame, then
 // `frames` rows of x, y (m), heading (rad) by odometry and one range (m) a sonar, inf = no echo, nan = not fired; to
-// localise, a pose x, y, heading where the robot about begins, and rows * cols probabilities of *free* too, row 0 at the
-// lowest y. The poses come back in the same manner: a header (frames, updates, seconds, cpu_seconds), "data", the pose
-// of each frame as it was known when it came, and the same as it is known in the end (slam; else once more the same).
+// localise, a pose x, y, heading where the robot about begins, and rows * cols probabilities of *free* too, row 0 at
+// the lowest y. The poses come back in the same manner: a header (frames, updates, seconds, cpu_seconds), "data", the
+// pose of each frame as it was known when it came, and as it is known in the end (slam; else once more the same).
 //
 // Between two updates of a filter poses go on by odometry. A reading without an echo is left out: MRPT's likelihood
 // knows none.
@@ -123,7 +123,8 @@ void read_tables(std::istream& in, Drive& drive)
         const double* row = &drive.table[i * (3 + drive.sonars)];
         const std::string where = "frames[" + std::to_string(i) + "]";
         for (int k = 0; k < 3; k++)
-            if (!(std::abs(row[k]) <= 1e4)) fail(where, "a pose of " + std::to_string(row[k]), "m and rad within 10 km");
+            if (!(std::abs(row[k]) <= 1e4))
+                fail(where, "a pose of " + std::to_string(row[k]), "m and rad within 10 km");
         for (size_t s = 0; s < drive.sonars; s++)
             if (row[3 + s] < 0) fail(where, "a range of " + std::to_string(row[3 + s]), "0 or more, inf or nan");
     }
@@ -188,7 +189,8 @@ bool far_enough(const CPose2D& step, const Options& options)
 }
 
 // The poses begin at 0, 0, 0.
-Answer slam(const Drive& drive, const Options& options, double cell, bool centred, const COccupancyGridMap2D::TInsertionOptions& insertion)
+Answer slam(const Drive& drive, const Options& options, double cell, bool centred,
+            const COccupancyGridMap2D::TInsertionOptions& insertion)
 {
     mrpt::slam::CMetricMapBuilderRBPF::TConstructionOptions set_up;
     COccupancyGridMap2D::TMapDefinition grid;

@@ -213,7 +213,7 @@ def test_the_known_map_is_walls_and_floor_and_knows_nothing_of_what_is_hidden():
     assert (grid.resolution, grid.origin) == (0.1, (2.0, 3.0))
 
 
-def test_a_row_tells_the_median_after_alignment_and_the_fastest_turn(monkeypatch, robot):
+def test_a_row_tells_the_median_after_alignment_and_the_fastest_turn(robot):
     truth = round_the_room(1)
     frames = frames_of(truth, np.full((len(truth), robot.sonars), inf))
     away = np.where(np.arange(len(truth)) % 2, 1.0, -1.0)
@@ -226,7 +226,7 @@ def test_a_row_tells_the_median_after_alignment_and_the_fastest_turn(monkeypatch
         grown[:, :2] += 0.1 * seed * away[:, None] * out
         return {position_peers.WHOLE: compose(np.array([5.0, 1.0, 2.0]), grown)}, 1.0 / seed
 
-    monkeypatch.setattr(position_peers, "programs", lambda: {"one": by_seed})
-    odometry, row = position_peers.rows_of(position_peers.Drive("here", robot, frames, truth, room()), 3)
+    drive = position_peers.Drive("here", robot, frames, truth, room())
+    odometry, row = position_peers.rows_of(drive, {"one": by_seed}, 3)
     assert odometry == "| here | - | odometry | 0.000 | |"
     assert row == f"| here | whole drive | one | 0.200 (0.100 to 0.300) | {3 * len(frames)} |"
