@@ -3,8 +3,8 @@
 ``mrpt/install.sh`` installs MRPT and builds the harness that is run here; position_peers.py sets it beside ours.
 
 MRPT's filter for SLAM (``CMetricMapBuilderRBPF``, the program rbpf-slam) carries an occupancy grid in each particle.
-Both filters weigh a sonar (``CObservationRange``) by MRPT's default likelihood, a field: points on the arc of the echo,
-each by how far it is from the nearest cell that is occupied.
+Both filters weigh a sonar (``CObservationRange``) by MRPT's default likelihood, a field: points on the arc of the
+echo, each by how far it is from the nearest cell that is occupied.
 """
 
 import os

@@ -11,8 +11,8 @@ scan came; *known map*, as driven in the true map of what can be seen from the w
 believe to within START_SPREAD. CASES is a folder of cases (experiments/studies/position); what is missing of NAMES is
 simulated into it, two minutes a case.
 
-MRPT's settings (mrpt_position.py) did best of ten that were tried, with one seed, on the first 2,000 scans of the flat
-(``FILTER``), and of three on the first 2,400 of the ring with four rangers (``KNOWN``); the motion model has the
+MRPT's settings (mrpt_position.py) did best of ten that were tried, with one seed, on the first 2,000 scans of the
+flat (``FILTER``), and of three on the first 2,400 of the ring with four rangers (``KNOWN``); the motion model has the
 odometry's true noise as it adds up between two updates. Its map is tried as it comes, and with cones that lie on the
 axes of the sonars.
 """
