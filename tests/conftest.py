@@ -11,8 +11,8 @@ from jaxtyping import install_import_hook
 install_import_hook("echogrid", "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
 
 # How long an example takes depends on what else the machine does. A change is judged by the same examples each time;
-# `pytest --hypothesis-profile=explore` looks for new ones.
-settings.register_profile("echogrid", deadline=None, derandomize=True)
+# `pytest --hypothesis-profile=explore` looks for new ones, and for more.
+settings.register_profile("echogrid", deadline=None, derandomize=True, max_examples=50)
 settings.register_profile("explore", deadline=None)
 settings.load_profile("echogrid")
 
@@ -25,11 +25,6 @@ os.environ |= {
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
 }
-
-
-def pytest_xdist_auto_num_workers() -> int:
-    """One more than there are cores: many tests wait for programs that play at the speed of a robot."""
-    return (os.cpu_count() or 1) + 1
 
 
 @pytest.fixture

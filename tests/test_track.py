@@ -51,6 +51,7 @@ def test_the_line_is_near_to_the_drive_and_the_drive_to_the_line(steps, scale, o
     assert distance(dense, path).max() <= NEAR_M * (1 + 1e-6) + 1e-9
 
 
+@pytest.mark.slow
 def test_two_hours_of_driving_stay_on_their_way():
     path = winding()
     line = tracked(path).points()

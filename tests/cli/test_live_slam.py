@@ -28,7 +28,7 @@ FRAMES = list(load_log(SAMPLE, B21))
 TRUTH = np.array([frame.pose for frame in FRAMES])
 TOLD = Odometry().times(2).of(TRUTH, np.random.default_rng(3))
 STAMPS = peer.START_S + np.array([frame.stamp - FRAMES[0].stamp for frame in FRAMES])
-SPEED = 6.0
+SPEED = 3.0
 
 
 def script(initial: dict[int, str] | None = None) -> list[str]:
@@ -146,6 +146,7 @@ def poses_at(session, kind):
     return stamps, found, np.hypot(*(found - TRUTH[at])[:, :2].T)
 
 
+@pytest.mark.slow
 def test_a_robot_is_tracked_from_its_start_in_a_map_that_is_known(known, tmp_path):
     x, y, theta = TRUTH[0]
     with peer.namespace() as network:

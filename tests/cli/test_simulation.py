@@ -118,6 +118,7 @@ def test_a_scan_may_be_left_of_and_below_the_origin(run, tmp_path):
     assert (tmp_path / "scan.csv").read_text().count("inf") < 36
 
 
+@pytest.mark.slow
 def test_weights_are_trained_and_map_a_log(run, tmp_path):
     weights = tmp_path / "mine.npz"
     status, out, err = run("train", "--robot", "p3dx", "--drives", 16, "--epochs", 1, "--seed", 5, "--out", weights)

@@ -36,6 +36,7 @@ def test_a_room_that_it_cannot_get_into_does_not_hold_it_up():
     assert drive.way < 20
 
 
+@pytest.mark.slow
 def test_a_place_that_never_shows_anything_is_left_alone_after_a_while():
     dark = np.zeros((FAR, WIDE), bool)
     dark[55:90, 50:75] = True

@@ -69,6 +69,7 @@ def test_where_the_log_begins_does_not_matter():
     assert trajectory_error(compose(inverse(to), moved.poses), found().poses).aligned_rms_m < 0.06
 
 
+@pytest.mark.slow
 def test_a_mirrored_drive_has_the_mirrored_trajectory():
     mirror = np.array([1.0, -1.0, -1.0])
     drive = slam(Log.of(posed(drifting() * mirror)), replace(B21, mounts=B21.mounts * mirror))
