@@ -24,11 +24,11 @@ MOST_PIECES, FORGOTTEN = 1500, 150
 JUMPED = np.array([0.2, 0.2, 0.3])
 """Standard deviations (m, m, rad) of a way on which the odometry jumped: the robot may have moved meanwhile."""
 
-BENT_AT = (16, 32)
+BENT_AT = (16, 24, 32, 48, 64)
 """Pieces after which the heading bias is looked for by how straight it makes the walls: of so short a drive that
 tells more than ``bends`` does."""
 
-BENDS, BENDS_AT, STRAIGHTER = np.deg2rad(np.linspace(-5, 5, 21)), 30, 1.15
+BENDS, BENDS_AT, STRAIGHTER = np.deg2rad(np.linspace(-5, 5, 21)), 30, 1.08
 """Heading biases (rad/m) that are tried before all else, at how many places of the drive, and how much straighter
 the best of them has to make the walls."""
 
