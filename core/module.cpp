@@ -33,6 +33,8 @@ void checked_set_threads(long long count) {
 }  // namespace echogrid
 
 NB_MODULE(_core, module) {
+    // What threads still hold when Python ends is no leak that a user could mend.
+    nb::set_leak_warnings(false);
     module.def("instructions", [] { return echogrid::kernels().variant; });
     module.def("threads", &echogrid::threads);
     module.def("set_threads", &echogrid::checked_set_threads, nb::arg("count"));
