@@ -149,6 +149,14 @@ class TrajectoryError:
     """Root mean square of the headings' errors after the whole trajectory was laid onto the true one."""
 
 
+def laid_onto(poses: Float[ndarray, "n 3"], truth: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
+    """A trajectory (m, m, rad) moved as a whole so that its distances to the true one have the least squares."""
+    middle, true_middle = poses[:, :2].mean(axis=0), truth[:, :2].mean(axis=0)
+    p, q = poses[:, :2] - middle, truth[:, :2] - true_middle
+    turn = float(np.arctan2(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]), np.sum(p * q)))
+    return compose(np.array([*true_middle, turn]), poses - [*middle, 0.0])
+
+
 def trajectory_error(poses: Float[ndarray, "n 3"], truth: Float[ndarray, "m 3"]) -> TrajectoryError:
     """How far poses (m, m, rad) are from the true ones, pose by pose.
 
@@ -162,10 +170,7 @@ def trajectory_error(poses: Float[ndarray, "n 3"], truth: Float[ndarray, "m 3"])
     for name, some in (("poses", poses), ("true poses", truth)):
         if np.shape(some) != np.shape(truth) or not np.size(some) or not np.all(np.isfinite(some)):
             raise InputError("trajectory", f"{name} of shape {np.shape(some)}", f"finite ones as {np.shape(truth)}")
-    middle, true_middle = poses[:, :2].mean(axis=0), truth[:, :2].mean(axis=0)
-    p, q = poses[:, :2] - middle, truth[:, :2] - true_middle
-    turn = float(np.arctan2(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]), np.sum(p * q)))
-    laid = compose(np.array([*true_middle, turn]), poses - [*middle, 0.0])
+    laid = laid_onto(poses, truth)
     first = compose(compose(truth[0], inverse(poses[0])), poses)
     off, first_off = (np.linalg.norm(some[:, :2] - truth[:, :2], axis=1) for some in (laid, first))
     return TrajectoryError(

@@ -21,7 +21,7 @@ from numpy import ndarray
 from echogrid import Log, build_map, slam
 from echogrid.grid import Grid
 from echogrid.mapping.registry import DEFAULT, sensor_model
-from echogrid.metrics import trajectory_error
+from echogrid.metrics import laid_onto, trajectory_error
 from experiments.studies.position.cases import Case, cases_of, posed
 from experiments.studies.position.measures import poses_of
 
@@ -59,23 +59,15 @@ def draw_drives(cases: Sequence[Case], path: Path) -> None:
         found = slam(Log.of(frames), case.robot).poses
         for wall in np.load(case.folder / "world.npz")["walls"]:
             axes.plot(wall[::2], wall[1::2], color="black", lw=1.2)
-        errors = [trajectory_error(poses, truth).aligned_rms_m for poses in (poses_of(frames), found)]
-        axes.plot(
-            *_laid(poses_of(frames), truth).T, color="tab:orange", lw=0.7, label=f"odometry, ATE {errors[0]:.2f} m"
-        )
-        axes.plot(*_laid(found, truth).T, color="tab:blue", lw=1.2, label=f"found, ATE {errors[1]:.2f} m")
+        given = poses_of(frames)
+        for poses, name, color, wide in ((given, "odometry", "tab:orange", 0.7), (found, "found", "tab:blue", 1.2)):
+            error = trajectory_error(poses, truth).aligned_rms_m
+            label = f"{name}, ATE {error:.2f} m"
+            axes.plot(*laid_onto(poses, truth)[:, :2].T, color=color, lw=wide, label=label)
         axes.plot(*truth[:, :2].T, color="tab:green", lw=0.6, ls="--", label="true")
         axes.set(title=case.name, xlabel="x, m", ylabel="y, m", aspect="equal")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3, frameon=False, fontsize=9)
     figure.savefig(path)
-
-
-def _laid(poses: Float[ndarray, "frames 3"], truth: Float[ndarray, "frames 3"]) -> Float[ndarray, "frames 2"]:
-    """Positions laid onto the true ones (Umeyama, without scale)."""
-    own, true = poses[:, :2], truth[:, :2]
-    u, _, v = np.linalg.svd((true - true.mean(axis=0)).T @ (own - own.mean(axis=0)))
-    turn = u @ np.diag([1.0, np.linalg.det(u @ v)]) @ v
-    return (own - own.mean(axis=0)) @ turn.T + true.mean(axis=0)
 
 
 def main() -> None:

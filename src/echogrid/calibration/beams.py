@@ -14,8 +14,8 @@ from numpy import ndarray
 from scipy.optimize import minimize
 
 from echogrid.calibration.readings import Readings
-from echogrid.calibration.walls import Walls, sonars_at
-from echogrid.geometry import wrap
+from echogrid.calibration.walls import Walls
+from echogrid.geometry import compose, wrap
 
 ASIDE_RAD, NEAREST_M = np.deg2rad(60.0), 0.1
 """Walls farther off the axis, or nearer, are not looked at."""
@@ -92,16 +92,14 @@ def chances(
         miss_m: how far echoes are off their walls, m (standard deviation).
     """
     out, fresh = [np.zeros((4, 0))], readings.fresh & ~np.isnan(readings.ranges)
-    sonars = sonars_at(readings.poses, mounts)
-    for first, last in np.unique(walls.span, axis=0):
-        which = np.flatnonzero((walls.span == (first, last)).all(axis=1))
+    sonars = compose(readings.poses, mounts)
+    for first, last, which in walls.parts():
         spread = np.meshgrid(np.arange(first, last), np.arange(readings.sonars), which, indexing="ij")
         f, s, w = (each.ravel() for each in spread)
         distance, to, along = walls.seen(w, sonars[f, s, :2])
         bearing = wrap(np.arctan2(to[:, 1], to[:, 0]) - readings.poses[f, s, 2])
         miss = readings.ranges[f, s] / scale - distance
-        low, high = walls.extent[w].T
-        ok = walls.point[w] | (along > low) & (along < high)
+        ok = walls.faces(w, along)
         ok &= (distance > NEAREST_M) & fresh[f, s] & (miss > -3 * miss_m)
         ok &= np.abs(wrap(bearing - mounts[s, 2])) < ASIDE_RAD
         # A rough wall off the axis is heard at the beam's edge, longer by a share of its distance.

@@ -19,10 +19,10 @@ from echogrid.calibration.places import Places
 from echogrid.calibration.readings import Readings, gather, some, windows
 from echogrid.calibration.swaps import agreement, likely_pairs
 from echogrid.calibration.variants import AS_GIVEN, Ranked, Variant, applied, judged, ranked
-from echogrid.calibration.walls import find, sonars_at
+from echogrid.calibration.walls import find
 from echogrid.errors import InputError
 from echogrid.frame import Frame, Log
-from echogrid.geometry import wrap
+from echogrid.geometry import compose, wrap
 from echogrid.mapping.intake import check_robot, cleaned, fitting
 from echogrid.robot import Robot
 
@@ -172,7 +172,7 @@ def _fitted(readings: Readings, given: Robot, parts: list[slice], name: str, rou
     near = readings.near()
     for wider in WIDER_RAD[:rounds]:
         off = max(half, LEAST_HALF_RAD) + float(wider)
-        walls = find(sonars_at(readings.poses, mounts), near / scale, parts, off)
+        walls = find(compose(readings.poses, mounts), near / scale, parts, off)
         if len(walls.place) < LEAST_WALLS or len(walls.wall) < LEAST_ECHOES:
             found = f"{len(walls.wall)} echoes that touch {len(walls.place)} straight walls or corners"
             expected = (

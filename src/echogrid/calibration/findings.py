@@ -11,35 +11,35 @@ from echogrid.calibration.variants import AS_GIVEN, GAIN, Ranked
 DOUBTED = 1.5
 """From so many standard deviations on it is told that another variant than the given one is likelier."""
 
-SCALE_OFF, SURE = 0.005, 1.96
+SCALE_OFF = 0.005
+
+SURE = 1.96
+"""Standard deviations to each side of an interval of 95 %."""
+
 _WIDE_RAD, _WIDE_M = np.deg2rad(5.0), 0.05
 
 
 def of_health(health: Health) -> Iterator[str]:
     """What is amiss with sonars."""
     kinds = (
-        (health.silent, "no valid reading", "is it connected? leave it out, or mend it"),
-        (health.dead & ~health.silent, "no echo ever, though others hear some", "is it blind, covered, or too weak?"),
-        (health.stuck, "one value wherever the robot is", "has its driver died, or does it see the robot?"),
-        (health.stale, "old values again while the robot moves", "poll it no faster than it measures"),
-        (
-            health.cross_talk,
-            "short readings among steady ones",
-            "does it hear the pulses of others? fire in turn",
-        ),
-    )
-    for which, what, remedy in kinds:
+        (health.silent, "no valid reading", None, "is it connected? leave it out, or mend it"),
+        (health.dead & ~health.silent, "no echo ever, though others hear some", None,
+         "is it blind, covered, or too weak?"),
+        (health.stuck, "one value wherever the robot is", "value",
+         "has its driver died, or does it see the robot?"),
+        (health.stale, "old values again while the robot moves", "repeats", "poll it no faster than it measures"),
+        (health.cross_talk, "short readings among steady ones", "spikes",
+         "does it hear the pulses of others? fire in turn"),
+    )  # fmt: skip
+    for which, what, told, remedy in kinds:
         if not which.any():
             continue
-        share = _share(health, what, which)
-        yield f"{_named(np.flatnonzero(which).tolist())}: {what}{share}: {remedy}"
-
-
-def _share(health: Health, what: str, which: np.ndarray) -> str:
-    values = health.repeats if "old values" in what else health.spikes if "short" in what else None
-    if "one value" in what:
-        return f" ({health.value[which][0]:g} m)"
-    return "" if values is None else f" (in up to {np.max(values[which]):.0%} of its echoes)"
+        much = ""
+        if told == "value":
+            much = f" ({health.value[which][0]:g} m)"
+        elif told:
+            much = f" (in up to {np.max(getattr(health, told)[which]):.0%} of its echoes)"
+        yield f"{_named(np.flatnonzero(which).tolist())}: {what}{much}: {remedy}"
 
 
 def _named(sonars: list[int]) -> str:

@@ -12,7 +12,8 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from echogrid.calibration.readings import Readings
-from echogrid.calibration.walls import Walls, sonars_at
+from echogrid.calibration.walls import Walls
+from echogrid.geometry import compose
 
 PLACE_M, SCALE = 0.06, 0.04
 """How far a place and the scale may be off before a log is looked at: standard deviations."""
@@ -116,7 +117,7 @@ def _prior(given: Float[ndarray, "sonars 3"]) -> Float[ndarray, "n n"]:
 def _system(readings: Readings, mounts: Float[ndarray, "sonars 3"], walls: Walls, scale: float) -> _System:
     poses = readings.poses[walls.frame, walls.sonar]
     read = readings.ranges[walls.frame, walls.sonar]
-    distance, to, along = walls.seen(walls.wall, sonars_at(poses, mounts[walls.sonar])[:, :2])
+    distance, to, along = walls.seen(walls.wall, compose(poses, mounts[walls.sonar])[:, :2])
     miss = read / scale - distance
     sigma = max(LEAST_MISS_M, _spread(miss))
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])

@@ -22,19 +22,17 @@ def agreement(
     n, gate = readings.sonars, max(NEAR_M, 2 * miss_m)
     blurred = replace(beams, soft=max(beams.soft, SOFT_RAD))
     out = np.zeros((n, n))
-    parts = np.unique(walls.span, axis=0)
+    parts = walls.parts()
     fresh = readings.fresh & ~np.isnan(readings.ranges)
     for sonar in range(n):
         for mount in range(n):
             off, heard = [np.zeros(0)], [np.zeros(0, dtype=bool)]
-            for first, last in parts:
-                which = np.flatnonzero((walls.span == (first, last)).all(axis=1))
+            for first, last, which in parts:
                 f, w = (each.ravel() for each in np.meshgrid(np.arange(first, last), which, indexing="ij"))
                 at = compose(readings.poses[f, sonar], mounts[mount])
                 distance, to, along = walls.seen(w, at[:, :2])
                 miss = readings.ranges[f, sonar] / scale - distance
-                low, high = walls.extent[w].T
-                ok = (walls.point[w] | (along > low) & (along < high)) & fresh[f, sonar]
+                ok = walls.faces(w, along) & fresh[f, sonar]
                 ok &= (miss > -gate) & (distance > NEAREST_M)
                 turned = wrap(np.arctan2(to[:, 1], to[:, 0]) - at[:, 2])
                 ok &= np.abs(turned) < 3 * beams.half

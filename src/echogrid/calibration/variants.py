@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from echogrid.calibration.readings import Readings, some, windows
-from echogrid.calibration.walls import find, sonars_at
+from echogrid.calibration.walls import find
 from echogrid.geometry import compose
 from echogrid.robot import Robot
 
@@ -126,7 +126,7 @@ def ranked(readings: Readings, robot: Robot) -> list[Ranked]:
 def judged(readings: Readings, variant: Variant, parts: list[slice], beam_width: float) -> Ranked:
     """How sharp the walls are of a drive whose poses are as a variant has them; beam width in rad."""
     ranges, half = readings.only(parts).near(), max(beam_width / 2, np.deg2rad(8.0)) + np.deg2rad(4.0)
-    walls = find(sonars_at(readings.poses, variant.mounts), ranges, parts, half)
+    walls = find(compose(readings.poses, variant.mounts), ranges, parts, half)
     touching = np.array(
         [np.sum((walls.frame >= part.start) & (walls.frame < part.stop)) for part in parts], dtype=int
     )

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from echogrid.geometry import compose, wrap
+from echogrid.geometry import wrap
 
 STEP_RAD, STEP_M, WIDE_M = np.deg2rad(2.0), 0.03, 9.0
 """Bins of the votes, and how far from the middle of the part lines may lie."""
@@ -66,6 +66,16 @@ class Walls:
         along = np.where(point, 0.0, at[:, 1] * n[:, 0] - at[:, 0] * n[:, 1])
         distance = np.where(point, far, place[:, 1] - np.sum(n * at, axis=1))
         return distance, np.where(point[:, None], to / np.maximum(far, 1e-6)[:, None], n), along
+
+    def parts(self) -> list[tuple[int, int, Int[ndarray, "some"]]]:
+        """The parts of the drive that saw walls: first frame, that behind the last, which walls."""
+        spans = np.unique(self.span, axis=0).tolist()
+        return [(first, last, np.flatnonzero((self.span == (first, last)).all(axis=1))) for first, last in spans]
+
+    def faces(self, wall: Int[ndarray, "n"], along: Float[ndarray, "n"]) -> Bool[ndarray, "n"]:
+        """Whether feet along lines (m, as of ``seen``) are on them; those of points always are."""
+        low, high = self.extent[wall].T
+        return self.point[wall] | (along > low) & (along < high)
 
 
 class _Wall(NamedTuple):
@@ -220,10 +230,3 @@ def _point(
 def _cost(miss: Float[ndarray, "n"]) -> float:
     """The less, the more echoes touch a wall and the better."""
     return -float(np.sum(1 - (miss / NEAR_M) ** 2))
-
-
-def sonars_at(
-    poses: Float[ndarray, "*n sonars 3"], mounts: Float[ndarray, "sonars 3"]
-) -> Float[ndarray, "*n sonars 3"]:
-    """Where each sonar is and points in the world, m, m, rad."""
-    return compose(poses, mounts)

@@ -21,12 +21,10 @@ if TYPE_CHECKING:
     from echogrid.calibration.calibrate import Calibration
     from echogrid.position.corrected import Corrected
 
-_SURE = 1.96
 
-
-def _frames(log: Log, what: str) -> list[Frame]:
+def _frames(log: Log) -> list[Frame]:
     """All frames of a log, which are needed again and again; its notes are told when all were read."""
-    frames = list(shown(log, what))
+    frames = list(shown(log, "reading"))
     if not frames:
         raise InputError(log.name, "no frames", "at least one")
     return frames
@@ -62,7 +60,7 @@ class Calibrate:
         with made(self.out):  # a folder that cannot be made is found now, not after the work
             check_calibration_folder(self.out)
             drive = corrected(log, robot) if self.slam else None
-            frames = _frames(drive.log if drive else log, "reading")
+            frames = _frames(drive.log if drive else log)
             found = calibrate(Log.of(frames, log.name), robot)
             write_calibration(self.out, found, escaped(f"{Path(log.name).name}, {robot.name}"))
         if not named:
@@ -75,12 +73,13 @@ class Calibrate:
 
 
 def _print_table(found: "Calibration") -> None:
+    from echogrid.calibration.findings import SURE
     from echogrid.output.calibration_files import state
 
     print("sonar       x, m           y, m        axis, degrees    turned   echoes  state")
     there = found.given.mounts + found.moved
     there[:, 2] = wrap(there[:, 2])
-    sd = _SURE * found.moved_sd
+    sd = SURE * found.moved_sd
     for i in range(found.robot.sonars):
         (x, y, axis), (dx, dy, turn) = there[i], sd[i]
         place = f"{x:7.3f} +-{dx:.3f} {y:7.3f} +-{dy:.3f}"
@@ -92,9 +91,9 @@ def _print_findings(found: "Calibration", drive: "Corrected | None") -> None:
     from echogrid.calibration import findings
 
     beams, places = found.beams, found.places
-    width, off = np.rad2deg(2 * beams.half), _SURE * np.rad2deg(2 * beams.half_sd)
+    width, off = np.rad2deg(2 * beams.half), findings.SURE * np.rad2deg(2 * beams.half_sd)
     print(f"beam          {width:.1f} +-{off:.1f} degrees, edge soft by {np.rad2deg(beams.soft):.1f}")
-    print(f"range scale   {places.scale:.4f} +-{_SURE * found.scale_sd:.4f}, read of a metre of the poses")
+    print(f"range scale   {places.scale:.4f} +-{findings.SURE * found.scale_sd:.4f}, read of a metre of the poses")
     print(f"walls         {found.share:.0%} of the echoes touch {len(places.walls.place)} walls and corners", end="")
     print(f", {places.miss_m:.3f} m off them")
     if drive is not None and (odometry := pose_settings(drive)["odometry"]):
@@ -128,7 +127,7 @@ class Doctor:
     def run(self) -> None:
         """Print the findings."""
         log, robot, named = open_log(self.log, self.robot, self.ros.choice())
-        frames = _frames(log, "reading")
+        frames = _frames(log)
         notes = [what + (f" ({count} times)" if count else "") for what, count in log.notes.items()]
         info = describe(Log.of(frames, log.name))
         found = [*notes, *_of_contents(info, robot), *_of_walls(frames, robot, doubtful=bool(notes))]

@@ -11,6 +11,7 @@ import numpy as np
 
 from echogrid.calibration.beams import likelihood
 from echogrid.calibration.calibrate import Calibration
+from echogrid.calibration.findings import SURE
 from echogrid.files import check_writable, made, replacing
 from echogrid.geometry import wrap
 from echogrid.robot import robot_yaml
@@ -20,9 +21,6 @@ if TYPE_CHECKING:
 
 FILES = ("robot.yaml", "calibration.csv", "calibration.png")
 """What a calibration is in its folder."""
-
-SURE = 1.96
-"""Standard deviations to each side of an interval of 95 %."""
 
 _HEAD = "sonar,x_m,x_95,y_m,y_95,axis_deg,axis_95,moved_x_m,moved_y_m,turned_deg,mount,echoes,repeats,spikes,state"
 

@@ -99,11 +99,11 @@ class LocalMaps:
 
         def made() -> Field:
             patch = self.patch(np.zeros(3))
+            one, poses = range(k, k + 1), np.zeros((k + 1, 3))
             if far:
-                patch.pieces = range(k, k + 1)
-                return patch.farther(self.own(k, False), np.zeros((k + 1, 3)))
-            patch.add(range(k, k + 1), np.zeros((k + 1, 3)))
-            return patch.field(np.zeros((k + 1, 3)), False)
+                return patch.farther(self.own(k, False), one, poses)
+            patch.add(one, poses)
+            return patch.field(poses, False)
 
         return _kept(self._own, (k, far), MOST_OWN, made)
 
@@ -160,15 +160,13 @@ class Patch:
         """What it says now; with far echoes besides, which its pieces heard at poses."""
         grid = self._mapper.grid()
         field = Field(np.where(grid.observed, 2 * sigmoid(grid.log_odds) - 1, 0.0), grid.origin, grid.resolution)
-        return self.farther(field, poses) if far else field
+        return self.farther(field, self.pieces, poses) if far else field
 
-    def farther(self, field: Field, poses: Float[ndarray, "_ 3"]) -> Field:
-        """What ``field`` said without far echoes, and those besides."""
-        far = [self._maps.piece(k).far for k in self.pieces]
-        places = compose(self._to, poses[self.pieces.start : self.pieces.stop])
-        at = [
-            each.at(compose(pose, self._maps.way(k))) for k, pose, each in zip(self.pieces, places, far, strict=True)
-        ]
+    def farther(self, field: Field, pieces: range, poses: Float[ndarray, "_ 3"]) -> Field:
+        """What ``field`` said of pieces without far echoes, and those besides."""
+        far = [self._maps.piece(k).far for k in pieces]
+        places = compose(self._to, poses[pieces.start : pieces.stop])
+        at = [each.at(compose(pose, self._maps.way(k))) for k, pose, each in zip(pieces, places, far, strict=True)]
         ranges = np.concatenate([each.ranges for each in far])
         return with_far_echoes(field, np.concatenate(at), ranges, self._maps.beam_width_rad)
 

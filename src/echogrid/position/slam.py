@@ -381,7 +381,7 @@ class Drive:
             patch = self._maps.patch(self.poses[k])
             patch.add(own, self.poses)
             near = patch.field(self.poses, False)
-            self._sought[own] = self._chosen(near, points, lambda near: patch.farther(near, self.poses))
+            self._sought[own] = self._chosen(near, points, lambda near: patch.farther(near, own, self.poses))
         return self._sought[own]
 
     def _chosen(self, near: Field, points: int, farther: Callable[[Field], Field]) -> tuple[Seen, bool]:
