@@ -23,18 +23,9 @@ from echogrid.live.dds_types import (
     range_message,
     transform_message,
 )
-from echogrid.live.participant import dds_topic, joined
+from echogrid.live.participant import KEPT_QOS, STREAM_QOS, dds_topic, joined
 
 ODOM, BASE = "odom", "base_link"
-
-_QOS = Qos(Policy.Reliability.Reliable(max_blocking_time=0), Policy.Durability.Volatile, Policy.History.KeepLast(100))
-"""Of all that goes on being sent; readers that ask for less match as well."""
-
-_STATIC_QOS = Qos(
-    Policy.Reliability.Reliable(max_blocking_time=100_000_000),
-    Policy.Durability.TransientLocal,
-    Policy.History.KeepLast(1),
-)
 
 _COMMAND_QOS = Qos(Policy.Reliability.BestEffort, Policy.Durability.Volatile, Policy.History.KeepLast(10))
 """A flood of commands is not queued: the newest count."""
@@ -69,14 +60,14 @@ class BaseTopics:
         self._tf, self._odometry = self._writer("rt/tf", TFMessage), self._writer("rt/odom", Odometry)
         self._clock = self._writer("rt/clock", Clock)
         mounts = {self._frame(number): mount for number, mount in enumerate(self._robot.mounts)}
-        static = self._writer("rt/tf_static", TFMessage, _STATIC_QOS)
+        static = self._writer("rt/tf_static", TFMessage, KEPT_QOS)
         static.write(transform_message(base.stamp, BASE, mounts))
         self._static = static
 
     def _topic(self, name: str, kind: Any) -> Topic:
         return Topic(self._joined.participant, name, kind)
 
-    def _writer(self, name: str, kind: Any, qos: Qos = _QOS) -> DataWriter:
+    def _writer(self, name: str, kind: Any, qos: Qos = STREAM_QOS) -> DataWriter:
         return DataWriter(self._joined.participant, self._topic(name, kind), qos)
 
     def _frame(self, sonar: int) -> str:

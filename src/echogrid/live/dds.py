@@ -40,7 +40,7 @@ from echogrid.live.dds_types import (
 from echogrid.live.driving import Goal, Velocity
 from echogrid.live.hearing import Heard
 from echogrid.live.live_map import Picture
-from echogrid.live.participant import dds_topic, joined
+from echogrid.live.participant import KEPT_QOS, STREAM_QOS, dds_topic, joined
 from echogrid.live.placing import Correction, RobotPose
 from echogrid.live.tf_topics import TfTopics
 from echogrid.robot import MAX_SONARS
@@ -65,13 +65,6 @@ STATIC_QOS = Qos(
 """To hear /tf_static, sent once, as ROS 2 sends it. Writers that keep nothing match ``SENSOR_QOS`` alone, so it is
 heard at both qualities; what comes twice is the same."""
 
-MAP_QOS = Qos(
-    Policy.Reliability.Reliable(max_blocking_time=100_000_000),
-    Policy.Durability.TransientLocal,
-    Policy.History.KeepLast(1),
-)
-"""To send /map and /amcl_pose: who comes late gets the last one."""
-
 LOCAL_MAP_QOS = Qos(
     Policy.Reliability.Reliable(max_blocking_time=0),
     Policy.Durability.Volatile,
@@ -85,13 +78,6 @@ GOAL_QOS = Qos(
     Policy.History.KeepLast(1),
 )
 """To send /goal_pose: who comes late gets the last one."""
-
-TF_QOS = Qos(
-    Policy.Reliability.Reliable(max_blocking_time=0),
-    Policy.Durability.Volatile,
-    Policy.History.KeepLast(100),
-)
-"""To send /tf, as tf2 sends it."""
 
 _FOUND_BY_TYPE: dict[str, tuple[Heard, Any, int]] = {
     "sensor_msgs::msg::dds_::Range_": (Heard.RANGE, Range, MAX_SONARS),
@@ -163,10 +149,10 @@ class Network:
         if localises:
             self._listen("rt/initialpose", PoseWithCovarianceStamped, SENSOR_QOS, Heard.INITIAL)
             topic = Topic(self._participant, "rt/amcl_pose", PoseWithCovarianceStamped)
-            self._poses = DataWriter(self._participant, topic, MAP_QOS)
+            self._poses = DataWriter(self._participant, topic, KEPT_QOS)
         self._map, self._local = (
             DataWriter(self._participant, Topic(self._participant, name, OccupancyGrid), qos)
-            for name, qos in zip(sent, (MAP_QOS, LOCAL_MAP_QOS), strict=True)
+            for name, qos in zip(sent, (KEPT_QOS, LOCAL_MAP_QOS), strict=True)
         )
         self._goals, self._commands = (
             DataWriter(self._participant, Topic(self._participant, name, kind), qos) if name else None
@@ -286,5 +272,5 @@ class Network:
         if self._sent_tf is None:
             names = [name for name in self._tf.wanted(self.ranges) if name.endswith("/tf")]
             topic = Topic(self._participant, dds_topic(names[0] if names else "/tf"), TFMessage)
-            self._sent_tf = DataWriter(self._participant, topic, TF_QOS)
+            self._sent_tf = DataWriter(self._participant, topic, STREAM_QOS)
         return self._sent_tf

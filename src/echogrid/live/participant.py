@@ -17,7 +17,7 @@ import re
 import socket
 from typing import NamedTuple
 
-from cyclonedds.core import DDSException
+from cyclonedds.core import DDSException, Policy, Qos
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.internal import DDS
 
@@ -28,6 +28,19 @@ _MAX_SAMPLE_BYTES = 64 * 1024 * 1024
 """What Cyclone DDS takes or sends at most, a map among it."""
 
 _LOG_FATAL, _MULTICAST = 1, ' multicast="true"'
+
+
+STREAM_QOS = Qos(
+    Policy.Reliability.Reliable(max_blocking_time=0), Policy.Durability.Volatile, Policy.History.KeepLast(100)
+)
+"""To send what goes on being sent, as tf2 sends /tf; readers that ask for less match as well."""
+
+KEPT_QOS = Qos(
+    Policy.Reliability.Reliable(max_blocking_time=100_000_000),
+    Policy.Durability.TransientLocal,
+    Policy.History.KeepLast(1),
+)
+"""To send /map, /amcl_pose and /tf_static: who comes late gets the last one."""
 
 
 class Joined(NamedTuple):
