@@ -218,7 +218,9 @@ class Drive:
         self.poses[k] = compose(self.poses[k - 1], self._measured[k - 1])
         self._follow(k)
         if k % COMPASS_EVERY == 0 and k >= 2 * COMPASS_HALF:
-            self._look_along_walls(k - COMPASS_HALF)
+            last = k - COMPASS_HALF
+            for m in range(last if self._headings else last % COMPASS_EVERY, last + 1, COMPASS_EVERY):
+                self._look_along_walls(m)
         if k % LOOP_EVERY == 0 and self._solution is not None:
             self._close_loops(k)
         if k % SOLVE_EVERY == 0 or k == self.count - 1:
