@@ -16,8 +16,8 @@ BIASES = np.deg2rad(np.linspace(-8, 8, 33))
 USUAL = np.deg2rad(2.5)
 """Standard deviation of the heading bias of a robot of which nothing is known, rad/m."""
 
-WORTH = 100.0
-"""Log-likelihood that all pairs together are worth: they are far from independent."""
+WORTH, MOST_WORTH = 3.0, 100.0
+"""Log-likelihood that the pairs of a window are worth, and those of all at most: they are far from independent."""
 
 WINDOW, WINDOWS = 12, 60
 """Pieces whose points are laid together, and how many times along a drive at most."""
@@ -50,7 +50,7 @@ def heading_bias(
         pairs[i] = sum(sharpness(poses[m : m + WINDOW], points[m : m + WINDOW]) for m in begins)
     if not pairs.any():
         return 0.0
-    held = WORTH * pairs / pairs.max() - 0.5 * (BIASES / USUAL) ** 2
+    held = min(WORTH * len(begins), MOST_WORTH) * pairs / pairs.max() - 0.5 * (BIASES / USUAL) ** 2
     weight = np.exp(held - held.max())
     return float(weight @ BIASES / weight.sum())
 

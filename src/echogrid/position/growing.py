@@ -3,7 +3,7 @@
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple, override
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -11,11 +11,10 @@ from numpy import ndarray
 
 from echogrid.frame import Frame
 from echogrid.geometry import compose, wrapped
-from echogrid.position import walls
 from echogrid.position.forgetting import chained_variance, handed_on, to_forget
-from echogrid.position.motion import chained, corrected, steps
+from echogrid.position.motion import PARAMETERS, chained, corrected, steps
 from echogrid.position.pieces import LocalMaps, Piece, spread_over
-from echogrid.position.slam import COMPASS_HALF, Drive, MatchEdge
+from echogrid.position.slam import Drive, MatchEdge
 from echogrid.robot import Robot
 
 MOST_PIECES, FORGOTTEN = 1500, 150
@@ -24,13 +23,9 @@ MOST_PIECES, FORGOTTEN = 1500, 150
 JUMPED = np.array([0.2, 0.2, 0.3])
 """Standard deviations (m, m, rad) of a way on which the odometry jumped: the robot may have moved meanwhile."""
 
-BENT_AT = (16, 24, 32, 48, 64)
-"""Pieces after which the heading bias is looked for by how straight it makes the walls: of so short a drive that
-tells more than ``bends`` does."""
-
-BENDS, BENDS_AT, STRAIGHTER = np.deg2rad(np.linspace(-5, 5, 21)), 30, 1.08
-"""Heading biases (rad/m) that are tried before all else, at how many places of the drive, and how much straighter
-the best of them has to make the walls."""
+BENT_AT, BENT = (16, 24, 32, 48, 64, 96, 128, 192, 256), np.deg2rad(0.5)
+"""Pieces after which the heading bias is looked for once more, as long as no loop tells it better, and by how much
+(rad/m) what is found must differ from what is known."""
 
 
 class Graph(NamedTuple):
@@ -89,23 +84,31 @@ class Growing(Drive):
         self._correct()
         self._information = self._odometry_information()
         self.place(self.count - 1)
-        if self._taken == len(self._kept) and self.count in BENT_AT:
+        if self.count in BENT_AT and not any(edge.loop for edge in self.matches):
             self._unbend()
         if self.count > MOST_PIECES:
             self._forget(FORGOTTEN)
 
     def _unbend(self) -> None:
-        """Begin anew with the heading bias that makes walls straightest, if it makes them much straighter."""
-        poses = self.poses
-        bias = self._bends()
-        self.poses = poses
-        if bias:
-            self._bias += bias
-            self.parameters[1] -= bias
-            self._step = corrected(self._step, np.array([0.0, bias, 0.0]))
-            self._correct()
-            self._maps.forget_ways()
-            self._solve(self.count)
+        """Place all pieces anew with the heading bias with which what was seen lies together best, if that is not
+        what is known of it.
+        """
+        known, step = self.drift[1], self._step
+        self._step = steps(np.array([frame.pose for frame in self._kept], dtype=float))
+        found = self._bends()
+        if abs(found - known) < BENT:
+            self._step = step
+            return
+        self._bias, self.parameters = found, np.zeros(PARAMETERS)
+        self._step = corrected(self._step, np.array([0.0, found, 0.0]))
+        self._correct()
+        self._maps.forget_ways()
+        self._near, self._solution, self._compass = None, None, None
+        self.matches, self._headings = [], {}
+        self._seen.clear()
+        self._walls.clear()
+        for k in range(1, self.count):
+            self.place(k)
 
     def _odometry_information(self) -> Float[ndarray, "pairs 3 3"]:
         information = super()._odometry_information()
@@ -160,29 +163,6 @@ class Growing(Drive):
                 key = number[first], number[second]
                 found[*key, edge.loop] = MatchEdge(*key, pose, information, edge.loop)
         return list(found.values())
-
-    @override
-    def _bends(self) -> float:
-        """The heading bias (rad/m) with which the walls beside the drive are straightest, to begin with; 0 where none
-        makes them much straighter than they are.
-        """
-        half = COMPASS_HALF
-        windows = np.unique(np.linspace(half, self.count - 1 - half, BENDS_AT).astype(int))
-        if self.count <= 2 * half:
-            return 0.0
-        told = []
-        for bias in BENDS:
-            drive = chained(np.zeros(3), corrected(self._step, np.array([0.0, bias, 0.0])))
-            self.poses = drive[[piece.middle for piece in self.cut]]
-            told.append(
-                sum(
-                    walls.sharpest(np.concatenate([self._walls_from(m, k) for k in range(m - half, m + half + 1)]))[1]
-                    for m in windows.tolist()
-                )
-            )
-        self.poses = np.zeros((self.count, 3))
-        best = int(np.argmax(told))
-        return float(BENDS[best]) if told[best] > STRAIGHTER * told[len(BENDS) // 2] else 0.0
 
     def graph(self) -> Graph:
         """As it is now, in the frame of the odometry's first poses."""

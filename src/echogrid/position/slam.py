@@ -207,6 +207,7 @@ class Drive:
         if like:
             self._bias, self._points = like._bias, like._points
         else:
+            self._points: list[Float[ndarray, "_ 2"]] = []
             self._bias = self._bends()
         self._step = corrected(self._step, np.array([0.0, self._bias, 0.0]))
         self._correct()
@@ -338,9 +339,8 @@ class Drive:
 
     def _bends(self) -> float:
         """The heading bias (rad/m) that odometry still has, by what was seen along the drive."""
-        self._points = [
-            walls.surface_points(self._own(k, True), bends.MOST_POINTS, self._rng) for k in range(self.count)
-        ]
+        for k in range(len(self._points), self.count):
+            self._points.append(walls.surface_points(self._own(k, True), bends.MOST_POINTS, self._rng))
         return bends.heading_bias(self._step, self.cut, self._points)
 
     @property
