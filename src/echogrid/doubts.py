@@ -42,6 +42,9 @@ was when the value came, at least: who stands hears the same again and again."""
 ZEROS = 0.2
 """Share of the readings that are 0 m from which that is taken for the sensor's no echo."""
 
+_STOPS = 5
+"""Jumps from which on they are hardly all starts anew."""
+
 GLITCH_M = 500.0
 """A pose that lies farther than this from the last good one, though no robot can have got there, is left out."""
 
@@ -363,7 +366,10 @@ class Judge:
         elif motion.fast:
             what = f"the pose jumps by {way:.2f} m at {stamp:.2f} s"
             more = f" and {motion.fast - 1} times more (up to {motion.longest_m:.1f} m)" if motion.fast > 1 else ""
-            notes[f"{what}{more}, faster than any robot: did the odometry start anew? cut the log there in two"] = 0
+            why = "did the odometry start anew? cut the log there in two"
+            if motion.fast >= _STOPS:
+                why = "was nothing recorded from stop to stop, or are the stamps wrong?"
+            notes[f"{what}{more}, faster than any robot: {why}"] = 0
         if self._last is not None and self._last[0] == self._first_stamp and motion.steps >= LEAST_STEPS:
             notes[
                 f"all stamps are {self._first_stamp:g} s: no speed can be told, and nothing fades; write the time"

@@ -18,7 +18,8 @@ SURFACES = np.random.default_rng(0).uniform([-5, -5], [130, 15], (3000, 2))
 def seen(poses):
     """Surface points within reach of each pose, in its own frame."""
     near = (SURFACES[np.hypot(*(SURFACES - pose[:2]).T) < REACH_M] for pose in poses)
-    return [compose(inverse(pose), np.column_stack([at, np.zeros(len(at))]))[:, :2] for pose, at in zip(poses, near)]
+    flat = (np.column_stack([at, np.zeros(len(at))]) for at in near)
+    return [compose(inverse(pose), at)[:, :2] for pose, at in zip(poses, flat, strict=True)]
 
 
 POINTS = seen(POSES)

@@ -54,6 +54,33 @@ def test_a_jump_is_taken_as_it_is_where_the_sonars_hear_another_place(drive):
     assert off(same.poses, poses) < 2 * SPEED_M_S / RATE_HZ
 
 
+@pytest.mark.parametrize("frames", [5, 15])
+def test_a_log_of_stops_stays_as_it_is(drive, frames):
+    _, poses, ranges = drive
+    stops = np.repeat(poses[::30], frames, axis=0)  # 1.2 m from one to the next, in one tenth of a second
+    stops += np.random.default_rng(0).normal(0, 0.01, stops.shape)
+    count = len(stops)
+    found = mended(np.arange(count) / RATE_HZ, stops, np.resize(ranges, (count, ranges.shape[1])))
+    np.testing.assert_array_equal(found.poses, stops)
+    assert (found.notes, found.impossible) == ({}, 0.0)
+
+
+def test_poses_in_centimetres_are_no_stops(drive):
+    stamps, poses, ranges = drive
+    assert mended(stamps, poses * [100, 100, 1], ranges).impossible > 0.9
+
+
+def test_a_robot_that_stands_has_glitches_and_no_stops(drive):
+    stamps, poses, ranges = drive
+    stands = np.tile(poses[0], (600, 1))
+    glitched = stands.copy()
+    for first in range(50, 600, 50):
+        glitched[first : first + 5] += [1.5, 0.0, 0.0]
+    found = mended(stamps, glitched + np.arange(600)[:, None] * 1e-6, ranges)
+    assert off(found.poses, stands) < 0.01
+    assert list(found.notes.values()) == [55]
+
+
 @pytest.mark.parametrize("frames", [1, 7])
 @pytest.mark.parametrize("where", [[3.0, 3.0, 0.5], [1e6, -1e6, 0.0]])
 def test_a_glitch_is_interpolated_and_counted(drive, frames, where):

@@ -57,6 +57,8 @@ class Graph(NamedTuple):
 class Growing(Drive):
     """A drive that grows by pieces."""
 
+    loop_gap = 20  # no match is made again here: what a wrong one bends stays bent
+
     def __init__(self, frames: Sequence[Frame], robot: Robot):
         """A drive of one piece, of these frames, whose poses are by odometry."""
         self.robot = robot

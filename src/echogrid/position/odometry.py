@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from echogrid.doubts import LEAST_STEPS, OFTEN, STAYS
+from echogrid.doubts import JUMP_M, LEAST_STEPS, OFTEN, STAYS
 from echogrid.geometry import wrap, wrapped
 from echogrid.position import motion
 
@@ -24,6 +24,10 @@ _AROUND = 20
 
 _ZERO_M, _ZERO_RAD = 0.1, 0.1
 """Odometry that starts anew begins so near to 0."""
+
+_HOPS, _FAST, _POSES, _STOP_M, _APART_M = 5, 0.3, 3, 0.3, 10.0
+"""Ways that are not recorded in a log of stops, at least, and the least share of them that is faster than any robot
+by the stamps; the poses that a stop has, mostly, and nearly always how large it is and how far from the next."""
 
 
 class Mended(NamedTuple):
@@ -46,6 +50,8 @@ def mended(
     as long as the sonars hear the same place before and after, or cannot tell. Poses that come more seldom than scans
     are interpolated in time.
 
+    Of a log that was recorded at stops alone the stamps say nothing of the way between; it is as the odometry says.
+
     Args:
         stamps: s.
         poses: of the odometry, m, m, rad.
@@ -54,6 +60,8 @@ def mended(
     at = np.concatenate([[0], 1 + np.flatnonzero((poses[1:] != poses[:-1]).any(axis=1))])
     period, ratio = _pace(stamps, at)
     jumps = _jumps(stamps, poses, at, period)
+    if _at_stops(poses[at], jumps):
+        return Mended(poses, {}, 0.0)
     if jumps.sum() > OFTEN * len(jumps) and len(jumps) >= LEAST_STEPS:
         return Mended(poses, {}, float(jumps.mean()))
     notes: dict[str, int] = {}
@@ -107,6 +115,21 @@ def _jumps(
     # The time for it: since the scan before, or since the last pose, if the robot has not stood there.
     took = np.maximum(stamps[at[1:]] - stamps[at[1:] - 1], np.minimum(np.diff(stamps[at]), _STANDS * period))
     return np.asarray(motion.jumped(step, took))
+
+
+def _at_stops(known: Float[ndarray, "changes 3"], jumps: Bool[ndarray, "steps"]) -> bool:
+    """Whether a log that jumps goes from stop to stop: on from each, not to and fro as glitches do."""
+    hops = np.flatnonzero(np.hypot(*np.diff(known[:, :2], axis=0).T) > _STOP_M) + 1
+    if len(hops) < _HOPS or jumps.sum() < _FAST * len(hops):
+        return False
+    begins, ends = np.append(0, hops), np.append(hops, len(known))
+    size = [np.hypot(*np.ptp(known[a:b, :2], axis=0)) for a, b in zip(begins, ends, strict=True)]
+    stops = known[begins, :2]
+    way = np.hypot(*(stops[1:] - stops[:-1]).T)
+    on = np.hypot(*(stops[2:] - stops[:-2]).T)
+    if np.median(ends - begins) < _POSES:
+        return False
+    return bool(np.quantile(size, 0.9) < _STOP_M and np.quantile(way, 0.9) < _APART_M and np.median(on) > JUMP_M)
 
 
 def _glitches(

@@ -31,9 +31,9 @@ and err alike, along a corridor and in heading above all."""
 CHAIN_SHARE, CHAIN_POSES = 0.3, 9
 """Of a piece's points on known ground that such a match needs, and along an axis how many poses it looks at."""
 
-LOOP_GAP, LOOP_EVERY, LOOP_REACH_M, LOOPS = 20, 2, 6.0, 2
-"""A loop is closed to pieces at least so many before, looked for at every second piece, at most so far away, to at
-most two places."""
+LOOP_GAP, LOOP_EVERY, LOOP_REACH_M, LOOPS = 12, 2, 6.0, 2
+"""A loop is closed to pieces at least so many before (see ``Drive.loop_gap``), looked for at every second piece, at
+most so far away, to at most two places."""
 
 LOOP_SHARE, LOOP_AGREEMENT, LOOP_SURFACE, LOOP_SURFACE_SHARE = 0.5, 0.3, 0.1, 0.4
 """What a match must reach to close a loop, see ``Match``; without surfaces that agree all free floor is alike."""
@@ -168,6 +168,9 @@ def _fits(found: Match) -> bool:
 
 class Drive:
     """A drive whose pieces are placed one after the other; all that were placed before move with each."""
+
+    loop_gap = LOOP_GAP
+    """A loop is closed to pieces at least so many before."""
 
     def __init__(
         self,
@@ -413,7 +416,7 @@ class Drive:
 
     def _close_loops(self, k: int) -> None:
         """Match a piece to the maps of places where the robot may have been long before."""
-        distance = np.hypot(*(self.poses[: max(0, k - LOOP_GAP), :2] - self.poses[k, :2]).T)
+        distance = np.hypot(*(self.poses[: max(0, k - self.loop_gap), :2] - self.poses[k, :2]).T)
         self._sought.clear()
         tried: list[int] = []
         too_far: list[int] = []
@@ -437,7 +440,7 @@ class Drive:
         self._looked[0] += 1
         spread = np.sqrt(np.diag(covariance))
         target = self._maps.patch(self.poses[j])
-        target.add(range(max(0, j - 8), min(j + 9, k - LOOP_GAP // 2)), self.poses)
+        target.add(range(max(0, j - 8), min(j + 9, k - self.loop_gap // 2)), self.poses)
         if np.max(spread[:2]) <= WIDE_M and spread[2] <= WIDE_RAD:
             found = self._match(k, range(max(0, k - 2), k + 1), j, target, covariance)
             if found is None or found.share < LOOP_SHARE:
