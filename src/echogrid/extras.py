@@ -7,6 +7,7 @@ from echogrid.errors import MissingError
 EXTRAS = {
     "train": {"JAX": "jax", "optax": "optax"},
     "ros2": {"cyclonedds": "cyclonedds"},
+    "fleet": {"dask.distributed": "distributed", "zarr": "zarr"},
     "viewer": {"rerun": "rerun", "its viewer": "rerun_cli"},
 }
 """What each extra brings: by what it is called, the module."""

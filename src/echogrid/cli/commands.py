@@ -8,6 +8,7 @@ from echogrid import __version__
 from echogrid.cli.calibrating import Calibrate, Doctor
 from echogrid.cli.completion import completion
 from echogrid.cli.export import Export
+from echogrid.cli.fleet import Changes, Fleet, Tiles
 from echogrid.cli.helping import examples, folded, worded
 from echogrid.cli.info import Info
 from echogrid.cli.live import Live
@@ -32,6 +33,9 @@ Command = (
     | Export
     | Score
     | Info
+    | Fleet
+    | Tiles
+    | Changes
 )
 
 COMMANDS: dict[str, Callable[..., Command]] = {
@@ -49,6 +53,9 @@ COMMANDS: dict[str, Callable[..., Command]] = {
     "info": Info,
     "doctor": Doctor,
     "calibrate": Calibrate,
+    "fleet": Fleet,
+    "tiles": Tiles,
+    "changes": Changes,
 }
 
 

@@ -53,6 +53,19 @@ echogrid doctor drive.csv --robot my-robot.yaml
 echogrid calibrate drive.csv --robot my-robot.yaml # look at calibrated/calibration.png
 echogrid map drive.csv --robot calibrated/robot.yaml
 """,
+    "fleet": """
+echogrid fleet logs/*.csv --robot my-robot.yaml --out store      # again with new logs: it goes on
+echogrid fleet today.bag --localise store --out store            # placed in the map so far
+echogrid fleet broken.csv --out store --remove
+echogrid tiles store --out house
+""",
+    "tiles": """
+echogrid tiles store --out house                   # all that was seen; look at house/map.png
+echogrid tiles store --region=-5,0,20,12 --out lab
+""",
+    "changes": """
+echogrid changes monday tuesday --out changes      # two stores; look at changes/changes.png
+""",
     "live": """
 echogrid live --out house                          # nodes of this machine that talk on loopback
 echogrid live --interface eth0 --domain 7

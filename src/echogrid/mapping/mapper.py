@@ -1,13 +1,16 @@
 """The map of a drive, scan by scan, by any sensor model."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from math import floor
 
 import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
 
 from echogrid.doubts import Judge, Whereabouts
 from echogrid.frame import Frame, passing
-from echogrid.grid import Grid, GrowingGrid
+from echogrid.grid import Grid, GrowingGrid, Layers
 from echogrid.limits import HALF_LIFE, MOST_M, RESOLUTION, Limits
 from echogrid.mapping.intake import check_robot, cleaned, fitting
 from echogrid.mapping.registry import DEFAULT, sensor_model
@@ -54,7 +57,8 @@ class Mapper:
         self.cell_m = self._fusion.cell_m or self.resolution
         """Side of the cells in which the map is kept, m; it is told in cells of ``resolution``."""
         chosen = self._fusion.cell_m is None
-        self._grown = GrowingGrid(self.cell_m, self._fusion.blank, model.p_min, chosen)
+        self._empty = partial(GrowingGrid, self.cell_m, self._fusion.blank, model.p_min, chosen)
+        self._grown = self._empty()
         # Where nothing fades the stamps decide nothing, and scans may come in any order.
         self._latest = None if half_life is None else -np.inf
 
@@ -137,6 +141,15 @@ class Mapper:
         """
         self._grown.reserve(evidence.corner, evidence.end)
         self._fusion.fuse(self._grown, evidence)
+
+    def hand_over(self) -> tuple[Int[ndarray, "2"], Layers]:
+        """What the cells of the map hold, and its first cell [row, col], counted from the world's origin.
+
+        The map begins anew, empty; what is remembered of the drive stays.
+        """
+        corner, cells = self._grown.reserved()[0], self._grown.layers()
+        self._grown = self._empty()
+        return corner, cells
 
     def grid(self) -> Grid:
         """The map so far: views of the growing arrays, not copies, where it is kept in cells of ``resolution``."""

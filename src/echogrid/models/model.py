@@ -73,6 +73,9 @@ class Fusion(ABC):
     def fuse(self, grown: GrowingGrid, evidence: Evidence) -> None:
         """Add what a batch tells to a map in which its window has been reserved."""
 
+    def changed(self, corner: Int[ndarray, "2"], end: Int[ndarray, "2"]) -> None:  # noqa: B027
+        """Cells ``corner <= [row, col] < end`` hold something else, and are to be read out anew."""
+
     def read_out(self, grown: GrowingGrid, corner: Int[ndarray, "2"], shape: tuple[int, int]) -> None:  # noqa: B027
         """Bring ``log_odds`` and ``observed`` of a rectangle of cells up to date; most models fuse in full.
 

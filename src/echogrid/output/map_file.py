@@ -73,19 +73,33 @@ def write_map(
         raise UsageError("map: found no cells, expected at least one frame with a reading")
     if np.isnan(grid.log_odds).any():
         raise UsageError("map: found log-odds that are nan, expected numbers from the interpreter")
-    log_odds = np.clip(grid.log_odds, logit(grid.p_min), logit(1 - grid.p_min)).astype(np.float32)
     # Renamed from the last to the first when all are written; run.yaml, which speaks for the rest, is last.
     writers: dict[str, Callable[[Path], object]] = {
         "run.yaml": lambda new: new.write_text(run_yaml(settings), encoding="utf-8"),
         "map.yaml": lambda new: new.write_text(map_yaml(grid, mode), encoding="utf-8"),
         "map.pgm": lambda new: new.write_bytes(pgm(PIXELS[mode](grid))),
-        "map.npz": lambda new: _save_npz(new, log_odds=log_odds, observed=grid.observed, **_place(grid)),
+        "map.npz": lambda new: _save_grid(new, grid),
         "map.png": lambda new: draw_map(new, grid, path_world, title, odometry_world),
     }
     folder = Path(folder)
     with made(folder), ExitStack() as stack:
         for name, write in writers.items():
             write(stack.enter_context(replacing(folder / name)))
+
+
+def write_grid(path: str | Path, grid: Grid) -> None:
+    """Write the map.npz of ``write_map`` alone.
+
+    Raises:
+        UsageError: the file cannot be written; nothing is left of it.
+    """
+    with replacing(path) as new:
+        _save_grid(new, grid)
+
+
+def _save_grid(path: Path, grid: Grid) -> None:
+    log_odds = np.clip(grid.log_odds, logit(grid.p_min), logit(1 - grid.p_min)).astype(np.float32)
+    _save_npz(path, log_odds=log_odds, observed=grid.observed, **_place(grid))
 
 
 def read_map(path: str | Path) -> Grid:

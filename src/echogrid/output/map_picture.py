@@ -5,6 +5,7 @@ matplotlib is imported where it draws: it takes half a second, which only a pict
 
 import math
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,10 +29,12 @@ def draw_map(
     title: str,
     odometry_world: Float[ndarray, "told _"] | None = None,
     drive: str = "drive",
+    marks: Mapping[str, tuple[str, Float[ndarray, "n 2"]]] | None = None,
 ) -> None:
     """The picture for people, as PNG: what was observed of the map, the drive, and a key below.
 
     Where poses were corrected the drive as the odometry had it is there too. The key calls the line ``drive``.
+    ``marks``: points (m, world) to be marked, by what the key calls them, with their colour.
     """
     # Without pyplot, which keeps figures in global state.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -62,6 +65,8 @@ def draw_map(
         axes.plot(*line_of(told, near).T, color="tab:orange", lw=1.0, label="odometry")
     if len(way):
         _draw_drive(axes, line_of(way, near), drive)
+    for label, (colour, points) in (marks or {}).items():
+        axes.plot(*points.T, "s", color=colour, ms=1.5, mew=0, label=f"{label}" if len(points) else f"{label}: none")
     _draw_key(figure, axes, shown, inch_per_m)
     with warnings.catch_warnings():
         # A title in a script that the font lacks is drawn as boxes; that is no reason to bother anyone.

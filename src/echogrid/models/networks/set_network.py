@@ -258,11 +258,11 @@ class _Sums(Fusion):
         cells = grown.window(evidence.corner, (rows, cols))
         told.add([cells[name] for name in SUMS], cells["views"])
         self._now = max(self._now, told.stamp)
-        self._changed(evidence.corner, evidence.end)
+        self.changed(evidence.corner, evidence.end)
         self._stand(grown, told)
 
-    def _changed(self, corner: Int[ndarray, "2"], end: Int[ndarray, "2"]) -> None:
-        """Cells ``corner <= [row, col] < end`` are to be read out anew."""
+    @override
+    def changed(self, corner: Int[ndarray, "2"], end: Int[ndarray, "2"]) -> None:
         low, high = self._stale or (corner, end)
         self._stale = np.minimum(low, corner), np.maximum(high, end)
 
@@ -281,7 +281,7 @@ class _Sums(Fusion):
         cell = self._network.cell_m
         found = _core.stand(way, came, told.radius, cell, step, STOOD_GAP_M, weight, stood, begin)
         if found:
-            self._changed(np.array(found[:2]), np.array(found[2:]))
+            self.changed(np.array(found[:2]), np.array(found[2:]))
 
     def _renew(self, grown: GrowingGrid, epoch: float) -> None:
         """Bring the sums to another epoch, so that they do not grow without end."""
