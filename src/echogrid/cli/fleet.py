@@ -4,6 +4,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -145,12 +146,16 @@ class Fleet:
 
     def _done(self, tasks: "Sequence[Task]") -> "Iterator[Outcome]":
         """What became of each log, under a progress bar."""
-        from echogrid.fleet.engine import cluster, dashboards, run
+        from echogrid.fleet.engine import connected, local, run
         from echogrid.fleet.poses import MapPoses
 
-        with cluster(self.scheduler, self.workers) as client:
-            if dashboards():
-                print(f"dashboard: {client.dashboard_link}", file=sys.stderr)
+        with ExitStack() as stack:
+            address, dashboard = self.scheduler, ""
+            if address is None:
+                address, dashboard = stack.enter_context(local(self.workers))
+            client = stack.enter_context(connected(address))
+            if dashboard := dashboard if self.scheduler is None else client.dashboard_link:
+                print(escaped(f"dashboard: {dashboard}"), file=sys.stderr)
             yield from bar(run(client, tasks), "logs", "log", len(tasks))
         for task in tasks[:1]:
             if isinstance(task.poses, MapPoses):

@@ -1,81 +1,76 @@
 """Many logs at once, by dask.distributed: on the cores of this machine, or on a cluster that is named."""
 
+import json
 import logging
 import os
-import warnings
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager
-from importlib.util import find_spec
-from typing import Any
+from contextlib import contextmanager, suppress
+from tempfile import TemporaryFile
 
 import dask
-from distributed import Client, KilledWorker, LocalCluster, as_completed
+from distributed import Client, KilledWorker, as_completed
 
 from echogrid import _core
 from echogrid.errors import UsageError
 from echogrid.fleet.job import Outcome, Task, add
-
-DEATHS = 9
-"""A log on which more workers die than this is refused. Those that others die beside are innocent."""
 
 CONNECT_S = 10
 """How long a scheduler is waited for."""
 
 
 @contextmanager
-def cluster(scheduler: str | None, workers: int | None = None) -> Generator[Client]:
-    """Workers to run on.
-
-    Args:
-        scheduler: address of the scheduler of a cluster; None: processes of this machine.
-        workers: how many processes; None: one for each core.
+def connected(scheduler: str) -> Generator[Client]:
+    """A client of the scheduler at an address.
 
     Raises:
-        UsageError: no scheduler answers there.
+        UsageError: none answers there.
     """
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is told in lines of our own
-    if scheduler is not None:
-        with dask.config.set({"distributed.comm.timeouts.connect": CONNECT_S}):
-            try:
-                client = Client(scheduler, timeout=CONNECT_S)
-            except (OSError, ValueError, TypeError) as error:
-                reason = "no scheduler that answers" if isinstance(error, OSError) else str(error)
-                expected = "the address of a dask scheduler, as tcp://HOST:8786"
-                raise UsageError(f"--scheduler: found {reason} at {scheduler}, expected {expected}") from None
-        with client:
+    with dask.config.set({"distributed.comm.timeouts.connect": CONNECT_S}):
+        try:
+            client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            reason = "no scheduler that answers" if isinstance(error, OSError) else str(error)
+            expected = "the address of a dask scheduler, as tcp://HOST:8786"
+            raise UsageError(f"--scheduler: found {reason} at {scheduler}, expected {expected}") from None
+        try:
             yield client
-        return
+        finally:
+            client.close(timeout=1)
+
+
+@contextmanager
+def local(workers: int | None = None) -> Generator[tuple[str, str]]:
+    """A cluster of processes on this machine: the addresses of its scheduler and of its dashboard, if it has one.
+
+    Args:
+        workers: how many; None: one for each core.
+
+    Raises:
+        UsageError: it does not start.
+    """
     count = workers or len(os.sched_getaffinity(0))
-    with dask.config.set(_settings()), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that the port of the dashboard is taken, and the next one is as good
-        # One worker of dask keeps what it has to say from standing between the lines of the command.
-        with (
-            LocalCluster(
-                n_workers=count,
-                threads_per_worker=1,
-                dashboard_address="127.0.0.1:8787" if dashboards() else None,
-                silence_logs=logging.CRITICAL,
-            ) as local,
-            Client(local) as client,
-        ):
-            yield client
-
-
-def dashboards() -> bool:
-    """Whether dask can show its dashboard."""
-    return find_spec("bokeh") is not None
-
-
-def _settings() -> dict[str, Any]:
-    """Of dask, for workers of this machine."""
-    environment = dict(dask.config.get("distributed.nanny.pre-spawn-environ"))
-    # Handing memory back after each task costs a third of the time.
-    environment.pop("MALLOC_TRIM_THRESHOLD_", None)
-    return {
-        "distributed.nanny.pre-spawn-environ": environment,
-        "distributed.scheduler.allowed-failures": DEATHS,
-        "distributed.logging.distributed": "critical",
-    }
+    command = [sys.executable, "-m", "echogrid.fleet.local_cluster", str(count)]
+    with TemporaryFile() as complaints:
+        process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=complaints, start_new_session=True
+        )
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            if not line:
+                complaints.seek(0)
+                lines = complaints.read().decode(errors="replace").strip().splitlines() or ["nothing said"]
+                raise UsageError(f"workers: found that they did not start ({lines[-1]}), expected {count} processes")
+            told = json.loads(line)
+            yield told["scheduler"], told["dashboard"]
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
 
 
 def run(client: Client, tasks: Sequence[Task], work: Callable[[Task], Outcome] = add) -> Iterator[Outcome]:
@@ -87,7 +82,7 @@ def run(client: Client, tasks: Sequence[Task], work: Callable[[Task], Outcome] =
     futures = client.map(_alone, [work] * len(tasks), tasks, key="add", pure=False, retries=0)
     task_of = dict(zip((future.key for future in futures), tasks, strict=True))
     left = len(tasks)
-    for future in as_completed(futures):
+    for future in as_completed(futures, loop=client.loop):
         task, status = task_of[future.key], future.status
         if status == "finished":
             yield future.result()
@@ -95,7 +90,7 @@ def run(client: Client, tasks: Sequence[Task], work: Callable[[Task], Outcome] =
             error = future.exception()
             found = f"{type(error).__name__}: {error}"
             if isinstance(error, KilledWorker):
-                found = f"that {DEATHS + 1} workers died while they mapped it"
+                found = "that one worker after the other died while it mapped this log"
             yield Outcome(task.log, "refused", where=task.log, reason=f"found {found}, expected a log as others")
         else:
             raise lost(left)
