@@ -3,8 +3,8 @@
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -22,6 +22,8 @@ from echogrid.output.map_file import read_map, write_grid, write_map
 from echogrid.robot import Robot
 
 if TYPE_CHECKING:
+    from distributed import Client
+
     from echogrid.fleet.job import Outcome, Task
     from echogrid.fleet.lattice import Region
     from echogrid.fleet.poses import Poses
@@ -55,7 +57,7 @@ class Fleet:
     robot: Annotated[str | None, robot_arg(". Default: the robot that each log describes")] = None
     ros: Annotated[Ros, OmitArgPrefixes] = field(default_factory=Ros)
     poses: Annotated[Path | None, arg(metavar="FILE|FOLDER")] = None
-    """Poses to map at instead of the logs' own: a TUM file as map --slam writes it, or a folder that holds NAME.tum
+    """Poses to map at instead of the logs' own: a TUM file, as SLAM writes it, or a folder that holds NAME.tum
     or NAME/trajectory.tum for a log NAME.csv."""
     localise: Annotated[Path | None, arg(metavar="MAP|STORE")] = None
     """Find each log's place in a map, or in the map so far of a store (this one, mostly), its poses being odometry. A
@@ -73,6 +75,7 @@ class Fleet:
     def run(self) -> None:
         """Add the logs, or take them out."""
         need("fleet", "fleet")
+        from echogrid.fleet.engine import run
         from echogrid.fleet.store import Store
 
         self._check()
@@ -82,12 +85,16 @@ class Fleet:
                 self._remove(store)
             return
         robot = None if self.robot is None else Robot.load(self.robot)
+        start = None if self.start is None else start_pose(self.start).tolist()
+        place = None if self.localise is None else _place(self.localise)
+        if not Store.can_be_made(self.out):
+            Store(self.out)  # what is none is told before there is much work
         begin = time.perf_counter()
-        with made(self.out):
+        with self._client() as client, made(self.out):
             store = Store.made(self.out)
-            with store.locked():
-                tasks = list(self._tasks(store, robot))
-                outcomes = list(self._done(tasks))
+            with store.locked(), self._poses(store, place, start) as poses:
+                tasks = list(self._tasks(store, robot, poses))
+                outcomes = list(bar(run(client, tasks), "logs", "log", len(tasks)))
         _tell(outcomes, self.out)
         _summarise(outcomes, store, time.perf_counter() - begin)
         if any(each.what == "refused" for each in outcomes):
@@ -116,50 +123,43 @@ class Fleet:
                 f"--poses: found one file for {len(self.logs)} logs, expected a folder with a file for each"
             )
 
-    def _tasks(self, store: "Store", robot: Robot | None) -> "Iterator[Task]":
+    @contextmanager
+    def _client(self) -> "Generator[Client]":
+        """Who hands the work to workers."""
+        from echogrid.fleet.engine import connected, local
+
+        if self.scheduler is not None:
+            with connected(self.scheduler) as client:
+                _print_dashboard(client.dashboard_link)
+                yield client
+            return
+        with local(self.workers) as (address, dashboard), connected(address) as client:
+            _print_dashboard(dashboard)
+            yield client
+
+    def _tasks(self, store: "Store", robot: Robot | None, poses: "Poses") -> "Iterator[Task]":
         """What is to be done, under paths that any process understands."""
         from echogrid.fleet.job import Task
 
-        poses, path = self._poses(store), os.path.abspath(store.path)
+        path = os.path.abspath(store.path)
         for log in dict.fromkeys(map(os.path.abspath, self.logs)):
             yield Task(path, log, robot, self.ros.choice(), poses)
 
-    def _poses(self, store: "Store") -> "Poses":
+    @contextmanager
+    def _poses(self, store: "Store", place: "Grid | None", start: list[float] | None) -> "Generator[Poses]":
+        """Where the poses come from; a map that they are found in lies in the store meanwhile, for all to see."""
         from echogrid.fleet.poses import FilePoses, MapPoses, OwnPoses, map_hash
-        from echogrid.fleet.reading import Reading
-        from echogrid.fleet.store import Store
 
-        if self.poses is not None:
-            return FilePoses(os.path.abspath(self.poses))
-        if self.localise is None:
-            return OwnPoses()
-        if (self.localise / "store.json").exists():
-            grid = Reading.of(Store(self.localise)).grid()
-        else:
-            grid = read_map(self.localise)
-        name = map_hash(grid)
-        file = Path(os.path.abspath(store.path)) / "places" / f"{name}.npz"
-        with made(file.parent):
-            write_grid(file, grid)
-        start = None if self.start is None else start_pose(self.start).tolist()
-        return MapPoses(str(file), name, None if start is None else (start[0], start[1], start[2]))
-
-    def _done(self, tasks: "Sequence[Task]") -> "Iterator[Outcome]":
-        """What became of each log, under a progress bar."""
-        from echogrid.fleet.engine import connected, local, run
-        from echogrid.fleet.poses import MapPoses
-
-        with ExitStack() as stack:
-            address, dashboard = self.scheduler, ""
-            if address is None:
-                address, dashboard = stack.enter_context(local(self.workers))
-            client = stack.enter_context(connected(address))
-            if dashboard := dashboard if self.scheduler is None else client.dashboard_link:
-                print(escaped(f"dashboard: {dashboard}"), file=sys.stderr)
-            yield from bar(run(client, tasks), "logs", "log", len(tasks))
-        for task in tasks[:1]:
-            if isinstance(task.poses, MapPoses):
-                Path(task.poses.map_file).unlink(missing_ok=True)
+        if place is None:
+            yield OwnPoses() if self.poses is None else FilePoses(os.path.abspath(self.poses))
+            return
+        name = map_hash(place)
+        file = Path(os.path.abspath(store.path)) / f"place-{name}.npz"
+        write_grid(file, place)
+        try:
+            yield MapPoses(str(file), name, None if start is None else (start[0], start[1], start[2]))
+        finally:
+            file.unlink(missing_ok=True)
 
     def _remove(self, store: "Store") -> None:
         found = list(self._named(store))
@@ -186,6 +186,19 @@ class Fleet:
             if found[0].log not in taken:
                 taken.add(found[0].log)
                 yield found[0]
+
+
+def _place(path: Path) -> "Grid":
+    """The map to find places in: the map so far of a store, or any other."""
+    from echogrid.fleet.reading import Reading
+    from echogrid.fleet.store import Store
+
+    return Reading.of(Store(path)).grid() if (path / "store.json").exists() else read_map(path)
+
+
+def _print_dashboard(address: str) -> None:
+    if address:
+        print(escaped(f"dashboard: {address}"), file=sys.stderr)
 
 
 def _tell(outcomes: "Sequence[Outcome]", out: Path) -> None:

@@ -28,7 +28,8 @@ def connected(scheduler: str) -> Generator[Client]:
     Raises:
         UsageError: none answers there.
     """
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is told in lines of our own
+    for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what matters is told in lines of our own
     with dask.config.set({"distributed.comm.timeouts.connect": CONNECT_S}):
         try:
             client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
@@ -88,7 +89,7 @@ def run(client: Client, tasks: Sequence[Task], work: Callable[[Task], Outcome] =
             yield future.result()
         elif status == "error":
             error = future.exception()
-            found = f"{type(error).__name__}: {error}"
+            found = f"{type(error).__name__}: {next(iter(str(error).splitlines()), '')}"
             if isinstance(error, KilledWorker):
                 found = "that one worker after the other died while it mapped this log"
             yield Outcome(task.log, "refused", where=task.log, reason=f"found {found}, expected a log as others")

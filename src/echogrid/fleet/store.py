@@ -72,6 +72,11 @@ class Store:
         _compare(where, _object(where))
 
     @staticmethod
+    def can_be_made(path: Path) -> bool:
+        """Whether there is nothing at a path, or an empty folder."""
+        return not os.path.lexists(path) or (os.path.isdir(path) and not any(path.iterdir()))
+
+    @staticmethod
     def made(path: str | Path) -> "Store":
         """The store at a path, an empty one where there is nothing or an empty folder.
 
@@ -79,7 +84,7 @@ class Store:
             InputError, UsageError: something else is there, or it cannot be written.
         """
         path = Path(path)
-        if not os.path.lexists(path / "store.json") and (not os.path.isdir(path) or not any(path.iterdir())):
+        if Store.can_be_made(path):
             with made(path):
                 for name in ("logs", "sums", "merged"):
                     with made(path / name):
