@@ -50,9 +50,9 @@ class Fleet:
     log that cannot be mapped is told in a line, the rest goes on, and the exit status is 2. Needs the extra fleet.
     """
 
-    logs: Annotated[Positional[tuple[str, ...]], arg(metavar="LOG [LOG ...]")]
+    logs: Annotated[Positional[tuple[str, ...]], arg(metavar="LOG [LOG ...]")] = ()
     """CSV or CARMEN logs, or bags of ROS 1 or ROS 2."""
-    out: Annotated[Path, arg(metavar="STORE")]
+    out: Annotated[Path, arg(metavar="STORE")] = field(kw_only=True)
     """The store, a folder; a new one is made."""
     robot: Annotated[str | None, robot_arg(". Default: the robot that each log describes")] = None
     ros: Annotated[Ros, OmitArgPrefixes] = field(default_factory=Ros)
