@@ -1,12 +1,12 @@
 """What a fleet costs and whether it counts right: ``python -m benchmarks.fleet FOLDER [LOGS]``.
 
 FOLDER is for the drives, which are simulated once (``benchmarks.fleet_drives``), LOGS how many of them. Printed are
-logs a second on one worker and on two, each against as many processes that burn time alone, for the machine may be
-shared; what a worker holds in memory while it works; the map beside that of one process; and the store after workers,
-the scheduler and the command were killed at random, beside that of a run in peace.
+logs a second on one worker and on two, and, for the machine may be shared, how many cores they got, and how many they
+wanted (Linux says how long each thread ran, and how long it waited for a core): below one a worker, it idles; what a
+worker holds in memory while it works; the map beside that of one process; and the store after workers, the scheduler and the command were
+killed at random, beside that of a run in peace.
 """
 
-import multiprocessing
 import os
 import shutil
 import signal
@@ -20,6 +20,8 @@ from pathlib import Path
 
 import numpy as np
 from distributed import Client
+from jaxtyping import Float
+from numpy import ndarray
 
 from benchmarks.fleet_drives import make
 from echogrid.fleet import engine
@@ -29,7 +31,7 @@ from echogrid.fleet.reading import Reading
 from echogrid.fleet.store import Store, model_of_stores
 from echogrid.grid import Grid, GrowingGrid
 from echogrid.logs.formats import load_log
-from echogrid.robot import Robot
+from echogrid.robot import Robot, robot_yaml
 
 KILLS = 20
 ROBOT = Robot.load("p3dx")
@@ -43,7 +45,7 @@ def main(folder: Path, count: int) -> None:
     size = sum(path.stat().st_size for path in paths)
     print(f"{count} logs, {scans} scans, {size / 1e6:.0f} MB of CSV")
     rates = [_rate(folder, paths, workers) for workers in (1, 2)]
-    print(f"efficiency of two workers: {rates[1] / rates[0]:.0%} of what the machine gives two processes")
+    print(f"efficiency: two workers do {rates[1] / rates[0]:.0%} of what one does in a second of a core")
     calm = Store(folder / "store2")
     _print_size(calm, scans)
     _print_map(calm, paths)
@@ -52,7 +54,8 @@ def main(folder: Path, count: int) -> None:
 
 
 def _tasks(store: Store, paths: list[Path]) -> list[Task]:
-    return [Task(str(store.path.resolve()), str(path.resolve()), ROBOT, None, OwnPoses()) for path in paths]
+    folder, robot = str(store.path.resolve()), robot_yaml(ROBOT)
+    return [Task(folder, str(path.resolve()), robot, None, OwnPoses()) for path in paths]
 
 
 def _new(path: Path) -> Store:
@@ -69,61 +72,38 @@ def _cluster(workers: int) -> Iterator[Client]:
 
 
 def _rate(folder: Path, paths: list[Path], workers: int) -> float:
-    """Logs a second, over what so many processes get done on this machine now."""
+    """Logs that so many workers map in a second of a core."""
     store = _new(folder / f"store{workers}")
     with _cluster(workers) as client:
         warm = [Task(task.store, task.log, None, None, OwnPoses()) for task in _tasks(store, paths[:workers])]
-        list(engine.run(client, warm))  # refused: it names no robot; what is to be imported is
-        memory = _Memory(client)
-        ours = spent(client)
+        list(engine.run(client, warm))  # refused, for it names no robot; but what is to be imported is
+        memory = _Memory(list(client.run(os.getpid).values()))
+        before = memory.wanted()
         begin = time.perf_counter()
         outcomes = list(engine.run(client, _tasks(store, paths)))
         took = time.perf_counter() - begin
-        ours = spent(client) - ours
+        ran, waited = memory.wanted() - before
         memory.stop()
     assert {each.what for each in outcomes} == {"added"}
-    gets = _machine(workers)
-    rate = len(paths) / took
-    print(f"{workers} workers: {rate:.1f} logs/s, {ours / len(paths) * 1e3:.0f} ms of a core a log, ", end="")
-    print(f"machine {gets:.2f} x one process; a worker holds {memory.told()}")
-    return rate / gets
-
-
-def spent(client: Client) -> float:
-    """Time that the workers have spent on their cores, s."""
-    return sum(client.run(time.process_time).values())
-
-
-def _machine(processes: int) -> float:
-    """How much so many processes that only count get done together, of what one does."""
-    alone = _counting(1)
-    return sum(_counting(processes)) / sum(alone)
-
-
-def _counting(processes: int) -> list[int]:
-    with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        pool.map(_count, [0.2] * processes)
-        return pool.map(_count, [5.0] * processes, chunksize=1)
-
-
-def _count(seconds: float) -> int:
-    until, done = time.perf_counter() + seconds, 0
-    values = np.ones(20_000)
-    while time.perf_counter() < until:
-        values = np.sqrt(values + 1)
-        done += 1
-    return done
+    busy = (ran + waited) / took
+    print(f"{workers} workers: {len(paths) / took:.1f} logs/s, {ran / len(paths) * 1e3:.0f} ms of a core a log")
+    print(f"  they want {busy:.2f} cores and get {ran / took:.2f}; a worker holds {memory.told()}")
+    return len(paths) / ran
 
 
 class _Memory:
     """Memory of the workers while they work, each second."""
 
-    def __init__(self, client: Client) -> None:
-        self._pids = list(client.run(os.getpid).values())
+    def __init__(self, pids: list[int]) -> None:
+        self._pids, self._on = pids, True
         self._seen: list[list[float]] = []
-        self._on = True
         self._thread = threading.Thread(target=self._look)
         self._thread.start()
+
+    def wanted(self) -> Float[ndarray, "2"]:
+        """Time that the workers ran, and that they waited for a core, s."""
+        files = [file for pid in self._pids for file in Path(f"/proc/{pid}/task").glob("*/schedstat")]
+        return np.sum([[float(value) for value in file.read_text().split()[:2]] for file in files], axis=0) / 1e9
 
     def _look(self) -> None:
         while self._on:
@@ -201,15 +181,14 @@ def _kill_workers(folder: Path, paths: list[Path], calm: Store) -> None:
     """Workers are killed while the command runs."""
     store, rng, killed = _new(folder / "killed"), np.random.default_rng(0), 0
     with _cluster(2) as client:
-        on = True
+        on, scheduler = True, client.run_on_scheduler(os.getpid)
 
         def kill() -> None:
             nonlocal killed
             while on and killed < KILLS:
                 time.sleep(rng.uniform(0.2, 1.5))
-                with suppress(Exception):
-                    pids = list(client.run(os.getpid).values())
-                    os.kill(int(rng.choice(pids)), signal.SIGKILL)
+                if workers := [pid for pid in _children(scheduler) if "spawn_main" in _command(pid)]:
+                    os.kill(int(rng.choice(workers)), signal.SIGKILL)
                     killed += 1
 
         killer = threading.Thread(target=kill)
@@ -234,7 +213,7 @@ def _kill_commands(folder: Path, paths: list[Path], calm: Store) -> None:
             what = "scheduler" if rounds % 2 else "command"
             time.sleep(rng.uniform(3.0, 6.0))
             with suppress(ProcessLookupError, IndexError):
-                pid = _child(process.pid) if what == "scheduler" else process.pid
+                pid = _children(process.pid)[0] if what == "scheduler" else process.pid
                 if process.poll() is None:
                     os.kill(pid, signal.SIGKILL)
                     kills[what] += 1
@@ -245,9 +224,16 @@ def _kill_commands(folder: Path, paths: list[Path], calm: Store) -> None:
     print(f"{what}: {len(store.records())} logs count after {rounds} runs; {_same(store, calm)}")
 
 
-def _child(pid: int) -> int:
-    """The process of the cluster that a command has started."""
-    return int(Path(f"/proc/{pid}/task/{pid}/children").read_text().split()[0])
+def _children(pid: int) -> list[int]:
+    """The processes that one has started, in any of its threads."""
+    files = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(each) for file in files for each in file.read_text().split()]
+
+
+def _command(pid: int) -> str:
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/cmdline").read_text()
+    return ""
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from echogrid.frame import Frame
 from echogrid.grid import Grid, GrowingGrid
 from echogrid.logs.csv_log import write_csv
 from echogrid.logs.formats import load_log
-from echogrid.robot import Robot
+from echogrid.robot import Robot, robot_yaml
 
 ROBOT = Robot.load("b21")
 FRAMES = list(load_log(SAMPLE, ROBOT))
@@ -31,7 +31,8 @@ def logs(folder: Path, pieces: Sequence[Sequence[Frame]] = PIECES) -> list[Path]
 
 
 def task(store: Store, log: Path, poses: Poses | None = None, robot: Robot | None = ROBOT) -> Task:
-    return Task(str(store.path), str(log), robot, None, poses or OwnPoses())
+    text = None if robot is None else robot_yaml(robot)
+    return Task(str(store.path), str(log), text, None, poses or OwnPoses())
 
 
 def filled(folder: Path, paths: Sequence[Path]) -> Store:

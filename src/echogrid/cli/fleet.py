@@ -19,7 +19,7 @@ from echogrid.extras import need
 from echogrid.files import made
 from echogrid.output.folder import check_folder
 from echogrid.output.map_file import read_map, write_grid, write_map
-from echogrid.robot import Robot
+from echogrid.robot import Robot, robot_yaml
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -84,7 +84,7 @@ class Fleet:
             with store.locked():
                 self._remove(store)
             return
-        robot = None if self.robot is None else Robot.load(self.robot)
+        robot = None if self.robot is None else robot_yaml(Robot.load(self.robot))
         start = None if self.start is None else start_pose(self.start).tolist()
         place = None if self.localise is None else _place(self.localise)
         if not Store.can_be_made(self.out):
@@ -137,7 +137,7 @@ class Fleet:
             _print_dashboard(dashboard)
             yield client
 
-    def _tasks(self, store: "Store", robot: Robot | None, poses: "Poses") -> "Iterator[Task]":
+    def _tasks(self, store: "Store", robot: str | None, poses: "Poses") -> "Iterator[Task]":
         """What is to be done, under paths that any process understands."""
         from echogrid.fleet.job import Task
 

@@ -83,8 +83,12 @@ def run(client: Client, tasks: Sequence[Task], work: Callable[[Task], Outcome] =
     futures = client.map(_alone, [work] * len(tasks), tasks, key="add", pure=False, retries=0)
     task_of = dict(zip((future.key for future in futures), tasks, strict=True))
     left = len(tasks)
-    for future in as_completed(futures, loop=client.loop):
+    completed = as_completed(futures, loop=client.loop)
+    for future in completed:
         task, status = task_of[future.key], future.status
+        if status in ("pending", "lost"):
+            completed.add(future)  # who knew what became of it has died, and it is asked again
+            continue
         if status == "finished":
             yield future.result()
         elif status == "error":

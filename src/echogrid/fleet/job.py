@@ -5,6 +5,7 @@ import json
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +19,7 @@ from echogrid.fleet.sums import Writer
 from echogrid.frame import Frame
 from echogrid.logs.formats import load_log
 from echogrid.mapping.mapper import Mapper
-from echogrid.robot import Robot, presets_with, robot_yaml
+from echogrid.robot import Robot, parse_robot, presets_with, robot_yaml
 from echogrid.ros.messages import Choice
 
 MOST_CELLS = 2**22
@@ -35,8 +36,8 @@ class Task:
     store: str
     log: str
     """Path of the log; both are absolute, for workers may run elsewhere."""
-    robot: Robot | None
-    """The robot that drove; None: the one that the log describes."""
+    robot: str | None
+    """The robot file (YAML) of the robot that drove; None: the one that the log describes."""
     choice: Choice | None
     """Of topics and frames of ROS."""
     poses: Poses
@@ -44,8 +45,7 @@ class Task:
     @property
     def settings(self) -> str:
         """Hash of what it is mapped with, but for its poses."""
-        robot = None if self.robot is None else robot_yaml(self.robot)
-        told = json.dumps([facts(), robot, repr(self.choice)], sort_keys=True)
+        told = json.dumps([facts(), self.robot, repr(self.choice)], sort_keys=True)
         return hashlib.sha256(told.encode()).hexdigest()
 
 
@@ -127,7 +127,7 @@ def log_hash(path: Path) -> str:
 def _mapped(task: Task, store: Store, log: str, key: str, settings: str, poses: str) -> Record:
     """Map a log, and write its sums."""
     path = Path(task.log)
-    read = load_log(task.log, task.robot, task.choice)
+    read = load_log(task.log, None if task.robot is None else _robot(task.robot), task.choice)
     robot = read.robot
     if robot is None:
         expected = f"--robot to say where they sit{presets_with(read.sonars)}"
@@ -136,10 +136,16 @@ def _mapped(task: Task, store: Store, log: str, key: str, settings: str, poses: 
     writer, heard = Writer("int32"), _Heard()
     _sum(Mapper(robot, model_of_stores()), heard.of(posed.frames), writer)
     heard.check(path)
-    writer.write(store.sums_at(key), log=log, robot=robot_yaml(robot))
+    writer.write(store.sums_at(key), log=log)
     notes = tuple(doubt + (f" ({count} times)" if count else "") for doubt, count in posed.notes.items())
     tiles: tuple[Tile, ...] = tuple(sorted(set(writer.tiles)))
-    return Record(log, path.name, key, settings, poses, robot_yaml(robot), heard.frames, tiles, notes)
+    told = task.robot or robot_yaml(robot)
+    return Record(log, path.name, key, settings, poses, told, heard.frames, tiles, notes)
+
+
+@lru_cache(maxsize=8)
+def _robot(text: str) -> Robot:
+    return parse_robot(text, "robot")
 
 
 def _sum(mapper: Mapper, frames: Iterable[Frame], writer: Writer) -> None:

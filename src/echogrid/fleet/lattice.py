@@ -61,8 +61,9 @@ class Region(NamedTuple):
 
 def counted(values: Float[ndarray, "*n"]) -> Int[ndarray, "*n"]:
     """Evidence in units."""
-    units = np.rint(values.astype(float) / UNIT).astype(np.int64)
-    return np.where((units == 0) & (values != 0), 1, units)
+    units = np.rint(values * values.dtype.type(1 / UNIT))  # a power of two: exact, whatever the precision
+    units[(units == 0) & (values != 0)] = 1
+    return units.astype(np.int64)
 
 
 def cut(corner: Int[ndarray, "2"], cells: Layers) -> Iterator[tuple[Tile, Int[ndarray, "layers side side"]]]:

@@ -3,6 +3,7 @@
 The same sums make the same file, byte by byte, whoever writes it and when.
 """
 
+import json
 import zipfile
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
@@ -11,7 +12,7 @@ from typing import Any, cast
 
 import numpy as np
 import zarr
-from jaxtyping import Int, Integer
+from jaxtyping import Int
 from numpy import ndarray
 from zarr.codecs import BloscCodec
 from zarr.storage import MemoryStore, ZipStore
@@ -22,6 +23,9 @@ from echogrid.fleet.lattice import LAYERS, TILE, Tile
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 """The time of all members of the ZIP file."""
+
+_MOST_PARTS = 2**31
+"""Of an array that is being gathered; those that come are what it has in the end."""
 
 _SHAPE = (len(LAYERS), TILE, TILE)
 
@@ -35,22 +39,25 @@ class Writer:
         self.tiles: list[Tile] = []
         self._array = zarr.create_array(
             MemoryStore(self._files),
-            shape=(0, *_SHAPE),
+            shape=(_MOST_PARTS, *_SHAPE),
             chunks=(1, *_SHAPE),
             dtype=dtype,
             compressors=BloscCodec(cname="zstd", clevel=1, shuffle="bitshuffle"),
             fill_value=0,
         )
 
-    def add(self, tile: Tile, kept: Integer[ndarray, "layers side side"]) -> None:
+    def add(self, tile: Tile, kept: Int[ndarray, "layers side side"]) -> None:
         """Add what cells of a tile hold, none of it below 0; what is more than a number holds becomes a part more."""
-        left = kept.astype(np.int64)
-        while not self.tiles or self.tiles[-1] != tile or left.any():
-            part = np.minimum(left, np.iinfo(self._array.dtype).max)
-            left = left - part
-            self.tiles.append(tile)
-            self._array.resize((len(self.tiles), *_SHAPE))
-            self._array[len(self.tiles) - 1] = part.astype(self._array.dtype)
+        most = np.iinfo(self._array.dtype).max
+        while (largest := int(kept.max())) > most:
+            self._add(tile, np.minimum(kept, most))
+            kept = np.maximum(kept - most, 0)
+        if largest or tile not in self.tiles[-1:]:
+            self._add(tile, kept)
+
+    def _add(self, tile: Tile, part: Int[ndarray, "layers side side"]) -> None:
+        self._array[len(self.tiles)] = part.astype(self._array.dtype)
+        self.tiles.append(tile)
 
     def write(self, path: Path, **facts: Any) -> None:
         """Write the file, whole or not at all; ``facts`` go along as attributes beside ``tiles``.
@@ -58,10 +65,15 @@ class Writer:
         Raises:
             UsageError: it cannot be written.
         """
-        self._array.attrs.update({"tiles": [list(tile) for tile in self.tiles], **facts})
+        files = {name: buffer.to_bytes() for name, buffer in sorted(self._files.items())}
+        # Zarr itself would write all of it anew for each tile by which the array grows.
+        about = json.loads(files["zarr.json"])
+        about["shape"][0] = len(self.tiles)
+        about["attributes"] = {"tiles": self.tiles, **facts}
+        files["zarr.json"] = json.dumps(about).encode()
         with replacing(path) as new, zipfile.ZipFile(new, "w") as archive:
-            for name, buffer in sorted(self._files.items()):
-                archive.writestr(zipfile.ZipInfo(name, _EPOCH), buffer.to_bytes())
+            for name, content in files.items():
+                archive.writestr(zipfile.ZipInfo(name, _EPOCH), content)
 
 
 class Reader:
