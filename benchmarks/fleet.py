@@ -3,8 +3,8 @@
 FOLDER is for the drives, which are simulated once (``benchmarks.fleet_drives``), LOGS how many of them. Printed are
 logs a second on one worker and on two, and, for the machine may be shared, how many cores they got, and how many they
 wanted (Linux says how long each thread ran, and how long it waited for a core): below one a worker, it idles; what a
-worker holds in memory while it works; the map beside that of one process; and the store after workers, the scheduler and the command were
-killed at random, beside that of a run in peace.
+worker holds in memory while it works; the map beside that of one process; and the store after workers, the scheduler
+and the command were killed at random, beside that of a run in peace.
 """
 
 import os
