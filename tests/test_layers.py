@@ -32,7 +32,7 @@ PLAN = {
     "set_training",
     "output": "trajectory graph_file folder follower map_picture scan_picture map_server_file map_file mcap_file "
     "recording page rerun_file rerun_server calibration_files",
-    "fleet": "lattice sums store poses job reading local_cluster engine changes changes_files",
+    "fleet": "lattice sums store poses job reading local_cluster engine page changes changes_files",
     "microcontroller": "array constants source",
     "live": "sonar_array clocks hearing telling placing known live_map driving session base sockets participant "
     "tf_topics dds_types dds base_topics",

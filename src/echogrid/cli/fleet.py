@@ -3,7 +3,7 @@
 import os
 import sys
 import time
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -16,7 +16,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from echogrid.cli.arguments import Ros, bar, check_map, drop, robot_arg, start_pose
 from echogrid.errors import UsageError, escaped
 from echogrid.extras import need
-from echogrid.files import made
+from echogrid.files import check_writable, made
 from echogrid.output.folder import check_folder
 from echogrid.output.map_file import read_map, write_grid, write_map
 from echogrid.robot import Robot, robot_yaml
@@ -261,6 +261,9 @@ class Tiles:
     """Side of a cell of the map, m. Default: 0.04."""
     pgm: Literal["trinary", "scale", "raw"] = "trinary"
     """What map.pgm holds, see map."""
+    view: bool = False
+    """Write a page to explore the map in a browser instead, however large it is: map.html, and its pictures in
+    map_tiles."""
 
     def run(self) -> None:
         """Read the tiles and write the folder."""
@@ -271,6 +274,9 @@ class Tiles:
         check_map(self.resolution, None)
         begin = time.perf_counter()
         reading = Reading.of(Store(self.store))
+        if self.view:
+            self._view(reading)
+            return
         region = _region(reading, self.region)
         with made(self.out):
             check_folder(self.out)
@@ -279,7 +285,7 @@ class Tiles:
                 grid = grid.observed_part() or grid
             if self.resolution is not None and self.resolution != grid.resolution:
                 grid = grid.in_cells_of(self.resolution)
-            title = f"{self.store.name or self.store.resolve().name}, {_logs(len(reading.records))}"
+            title = f"{self._name()}, {_logs(len(reading.records))}"
             write_map(self.out, grid, np.empty((0, 2)), self._settings(reading, grid), escaped(title), self.pgm)
         drop(self.out)
         _print_robots(reading)
@@ -288,6 +294,22 @@ class Tiles:
         what = f"{self.store}: {_logs(len(reading.records))} in {seconds:.1f} s"
         files = f"{self.out}/map.png; {self.out}/map.yaml is for Nav2's map_server"
         print(escaped(f"{what}; map of {cols * cell:.1f} x {rows * cell:.1f} m in {files}"))
+
+    def _view(self, reading: "Reading") -> None:
+        """Write the page instead."""
+        from echogrid.fleet.page import PAGE, write_tile_page
+
+        if self.region is not None or self.resolution is not None:
+            raise UsageError("--view: found it with --region or --resolution, expected it alone: the page has all")
+        with made(self.out), _bar("reading") as progress:
+            check_writable(self.out / PAGE)
+            title = f"{self._name()}, {_logs(len(reading.records))}"
+            write_tile_page(self.out, reading, escaped(title), progress)
+        _print_robots(reading)
+        print(escaped(f"{self.store}: {_logs(len(reading.records))}; open {self.out / PAGE} in a browser"))
+
+    def _name(self) -> str:
+        return self.store.name or self.store.resolve().name
 
     def _settings(self, reading: "Reading", grid: "Grid") -> dict[str, object]:
         """What run.yaml holds: what is needed to repeat the run."""
@@ -310,13 +332,20 @@ def _region(reading: "Reading", text: str | None, option: str = "--region") -> "
 
 def _grid(reading: "Reading", region: "Region | None", what: str) -> "Grid":
     """The map of a part, under a progress bar."""
+    with _bar(what) as progress:
+        return reading.grid(region, progress)
+
+
+@contextmanager
+def _bar(what: str) -> Generator[Callable[[int, int], None]]:
+    """A progress bar that is told how much is done, and of how much."""
     with tqdm(desc=what, unit="block", disable=None, leave=False) as line:
 
         def progress(done: int, of: int) -> None:
             line.total = of
             line.update(done - line.n)
 
-        return reading.grid(region, progress)
+        yield progress
 
 
 def _print_robots(reading: "Reading") -> None:

@@ -62,6 +62,7 @@ echogrid tiles store --out house
     "tiles": """
 echogrid tiles store --out house                   # all that was seen; look at house/map.png
 echogrid tiles store --region=-5,0,20,12 --out lab
+echogrid tiles store --view --out page             # to explore in a browser, however large it is
 """,
     "changes": """
 echogrid changes monday tuesday --out changes      # two stores; look at changes/changes.png

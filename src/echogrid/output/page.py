@@ -288,7 +288,7 @@ def _filled(facts: dict[str, Any], arrays: dict[str, ndarray], title: str) -> st
         packed += np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).tobytes()
     text = json.dumps(facts | {"arrays": placed}, separators=(",", ":"), allow_nan=False)
     places = {
-        "policy": _policy(template),
+        "policy": policy(template),
         "title": html.escape(title),
         "facts": text.replace("<", "\\u003c").replace(">", "\\u003e"),
         "packed": base64.b64encode(zlib.compress(packed, 9)).decode(),
@@ -297,11 +297,14 @@ def _filled(facts: dict[str, Any], arrays: dict[str, ndarray], title: str) -> st
     return re.sub(r"\{\{(\w+)\}\}", lambda place: places[place[1]], template)
 
 
-def _policy(template: str) -> str:
-    """What the browser may do: run the page's own script and style, known by their hashes, and connect to nothing."""
+def policy(template: str, images: str = "data:") -> str:
+    """What the browser may do: run the page's own script and style, known by their hashes, and connect to nothing.
+
+    ``images``: where images may come from.
+    """
     hashes = {}
     for kind in ("script", "style"):
         (content,) = re.findall(rf"<{kind}>(.*?)</{kind}>", template, re.DOTALL)
         digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
         hashes[kind] = f"{kind}-src 'sha256-{digest}'"
-    return f"default-src 'none'; {'; '.join(hashes.values())}; img-src data:; base-uri 'none'; form-action 'none'"
+    return f"default-src 'none'; {'; '.join(hashes.values())}; img-src {images}; base-uri 'none'; form-action 'none'"
