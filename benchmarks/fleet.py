@@ -16,6 +16,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +25,9 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from benchmarks.fleet_drives import make
+from echogrid import _core
 from echogrid.fleet import engine
-from echogrid.fleet.job import Task
+from echogrid.fleet.job import Task, add
 from echogrid.fleet.poses import OwnPoses
 from echogrid.fleet.reading import Reading
 from echogrid.fleet.store import Store, model_of_stores
@@ -46,6 +48,8 @@ def main(folder: Path, count: int) -> None:
     print(f"{count} logs, {scans} scans, {size / 1e6:.0f} MB of CSV")
     rates = [_rate(folder, paths, workers) for workers in (1, 2)]
     print(f"efficiency: two workers do {rates[1] / rates[0]:.0%} of what one does in a second of a core")
+    plain = [_plain(folder, paths[:300], processes) for processes in (1, 2)]
+    print(f"the same without dask, each process with its half of the logs: {plain[1] / plain[0]:.0%}")
     calm = Store(folder / "store2")
     _print_size(calm, scans)
     _print_map(calm, paths)
@@ -89,6 +93,24 @@ def _rate(folder: Path, paths: list[Path], workers: int) -> float:
     print(f"{workers} workers: {len(paths) / took:.1f} logs/s, {ran / len(paths) * 1e3:.0f} ms of a core a log")
     print(f"  they want {busy:.2f} cores and get {ran / took:.2f}; a worker holds {memory.told()}")
     return len(paths) / ran
+
+
+def _plain(folder: Path, paths: list[Path], processes: int) -> float:
+    """Logs that so many processes, of which each maps its own, map in a second of a core."""
+    tasks = _tasks(_new(folder / "plain"), paths)
+    with get_context("spawn").Pool(processes) as pool:
+        spent = pool.map(_map_all, [tasks[k::processes] for k in range(processes)], chunksize=1)
+    return len(paths) / sum(spent)
+
+
+def _map_all(tasks: list[Task]) -> float:
+    """Map logs, and say what that took of a core, s."""
+    _core.set_threads(1)
+    add(tasks[0])
+    begin = time.process_time()
+    for task in tasks[1:]:
+        add(task)
+    return (time.process_time() - begin) * len(tasks) / (len(tasks) - 1)
 
 
 class _Memory:

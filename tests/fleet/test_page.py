@@ -36,7 +36,9 @@ def codes(folder, level, row, col):
 
 
 def facts(folder):
-    return json.loads(re.search(r'id="facts">(.*?)</script>', (folder / "map.html").read_text())[1])
+    found = re.search(r'id="facts">(.*?)</script>', (folder / "map.html").read_text())
+    assert found
+    return json.loads(found[1])
 
 
 def test_the_lowest_level_is_the_map(page):

@@ -7,6 +7,7 @@ with who started it, however that ends, and no signal that a terminal sends to t
 import json
 import logging
 import os
+import select
 import signal
 import sys
 import warnings
@@ -15,9 +16,13 @@ from typing import Any
 
 import dask
 from distributed import LocalCluster
+from distributed.core import Status
 
 DEATHS = 9
 """A log on which more workers die than this is refused. Those that others die beside are innocent."""
+
+LOOK_S = 1.0
+"""How often it is seen to that all workers live."""
 
 DASHBOARD = "127.0.0.1:8787"
 """Where it is, unless the port is taken."""
@@ -38,9 +43,18 @@ def main(workers: int) -> None:
             "dashboard": cluster.dashboard_link if find_spec("bokeh") else "",
         }
         os.write(1, json.dumps(told).encode() + b"\n")
-        while os.read(0, 1):
-            pass
+        while not select.select([0], [], [], LOOK_S)[0] or os.read(0, 1):
+            _mend(cluster, workers)
     os.killpg(0, signal.SIGKILL)  # what is half done counts for nothing, and needs no farewell
+
+
+def _mend(cluster: LocalCluster, workers: int) -> None:
+    """Start workers anew that dask has given up, as it does where one dies while it starts."""
+    gone = [name for name, keeper in cluster.workers.items() if keeper.status in (Status.closed, Status.failed)]
+    for name in gone:
+        del cluster.workers[name]
+    if len(cluster.workers) < workers:
+        cluster.scale(workers)
 
 
 def _settings() -> dict[str, Any]:
