@@ -34,6 +34,7 @@ from echogrid.fleet.store import Store, model_of_stores
 from echogrid.grid import Grid, GrowingGrid
 from echogrid.logs.formats import load_log
 from echogrid.robot import Robot, robot_yaml
+from echogrid.ros.messages import Choice
 
 KILLS = 20
 ROBOT = Robot.load("p3dx")
@@ -59,7 +60,7 @@ def main(folder: Path, count: int) -> None:
 
 def _tasks(store: Store, paths: list[Path]) -> list[Task]:
     folder, robot = str(store.path.resolve()), robot_yaml(ROBOT)
-    return [Task(folder, str(path.resolve()), robot, None, OwnPoses()) for path in paths]
+    return [Task(folder, str(path.resolve()), robot, Choice(), OwnPoses()) for path in paths]
 
 
 def _new(path: Path) -> Store:
