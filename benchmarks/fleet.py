@@ -14,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from pathlib import Path
@@ -69,7 +69,7 @@ def _new(path: Path) -> Store:
 
 
 @contextmanager
-def _cluster(workers: int) -> Iterator[Client]:
+def _cluster(workers: int) -> Generator[Client]:
     with engine.local(workers) as (address, _), engine.connected(address) as client:
         client.wait_for_workers(workers)
         list(engine.run(client, [], engine.add))
