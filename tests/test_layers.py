@@ -37,7 +37,7 @@ PLAN = {
     "live": "sonar_array clocks hearing telling placing known live_map driving session base sockets participant "
     "tf_topics dds_types dds base_topics",
     "cli": "ending arguments network info poses maps localise calibrating planning simulation export driving live "
-    "robot fleet helping completion commands",
+    "robot fleet stores helping completion commands",
 }
 ORDER = [f"{room}.{name}".strip(".") for room, names in PLAN.items() for name in [*names.split(), ""] if room or name]
 

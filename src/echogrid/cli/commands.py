@@ -8,7 +8,7 @@ from echogrid import __version__
 from echogrid.cli.calibrating import Calibrate, Doctor
 from echogrid.cli.completion import completion
 from echogrid.cli.export import Export
-from echogrid.cli.fleet import Changes, Fleet, Tiles
+from echogrid.cli.fleet import Fleet
 from echogrid.cli.helping import examples, folded, worded
 from echogrid.cli.info import Info
 from echogrid.cli.live import Live
@@ -17,6 +17,7 @@ from echogrid.cli.maps import Map, Score
 from echogrid.cli.planning import Explore, Plan
 from echogrid.cli.robot import SimulatedRobot
 from echogrid.cli.simulation import Scan, Simulate, Train
+from echogrid.cli.stores import Changes, Tiles
 
 Command = (
     Map
