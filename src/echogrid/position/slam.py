@@ -31,7 +31,7 @@ and err alike, along a corridor and in heading above all."""
 CHAIN_SHARE, CHAIN_POSES = 0.3, 9
 """Of a piece's points on known ground that such a match needs, and along an axis how many poses it looks at."""
 
-LOOP_GAP, LOOP_EVERY, LOOP_REACH_M, LOOPS = 12, 2, 6.0, 2
+LOOP_GAP, LOOP_EVERY, LOOP_REACH_M, LOOPS = 16, 2, 6.0, 2
 """A loop is closed to pieces at least so many before (see ``Drive.loop_gap``), looked for at every second piece, at
 most so far away, to at most two places."""
 
