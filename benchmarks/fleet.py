@@ -14,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from pathlib import Path
@@ -28,6 +28,7 @@ from benchmarks.fleet_drives import make
 from echogrid import _core
 from echogrid.fleet import engine
 from echogrid.fleet.job import Task, add
+from echogrid.fleet.lattice import Tile
 from echogrid.fleet.poses import OwnPoses
 from echogrid.fleet.reading import Reading
 from echogrid.fleet.store import Store, model_of_stores
@@ -165,7 +166,7 @@ def _print_map(store: Store, paths: list[Path]) -> None:
     again = time.perf_counter() - again
     print(f"map: {len(reading.by_tile)} tiles; records {listed:.2f} s, first {first:.1f} s, again {again:.2f} s")
     begin = time.perf_counter()
-    theirs = one_process(paths)
+    theirs = one_process(paths, ROBOT)
     took = time.perf_counter() - begin
     ours = grid.part(grid.index_of(theirs.centre_of(np.array([0, 0]))), theirs.shape)
     off = np.abs(ours.log_odds - theirs.log_odds)
@@ -173,14 +174,14 @@ def _print_map(store: Store, paths: list[Path]) -> None:
     print(f"{np.sum(ours.observed != theirs.observed)} cells are seen by one alone")
 
 
-def one_process(paths: list[Path]) -> Grid:
+def one_process(paths: Sequence[Path], robot: Robot) -> Grid:
     """The map of all logs: each is a drive with a memory of its own, and all add to the same cells."""
     model = model_of_stores()
-    grown = GrowingGrid(model.cell_m, model.fusion(ROBOT, model.cell_m).blank, model.p_min)
-    fusion = model.fusion(ROBOT, model.cell_m)
+    fusion = model.fusion(robot, model.cell_m)
+    grown = GrowingGrid(model.cell_m, fusion.blank, model.p_min)
     for path in paths:
-        fusion = model.fusion(ROBOT, model.cell_m)
-        for batch in fusion.batches(list(load_log(path, ROBOT))):
+        fusion = model.fusion(robot, model.cell_m)
+        for batch in fusion.batches(list(load_log(path, robot))):
             evidence = fusion.read(batch)()
             grown.reserve(evidence.corner, evidence.end)
             fusion.fuse(grown, evidence)
@@ -190,14 +191,16 @@ def one_process(paths: list[Path]) -> Grid:
     return grown.grid()
 
 
+def tiles(store: Store) -> dict[Tile, bytes]:
+    """What the cells of all tiles hold, bit by bit."""
+    reading = Reading.of(store)
+    return {tile: kept.tobytes() for tile, kept in reading.tiles(reading.by_tile)}
+
+
 def _same(store: Store, calm: Store) -> str:
     """Whether two stores say the same, bit by bit."""
-    ours, theirs = (
-        {tile: kept.tobytes() for tile, kept in reading.tiles(reading.by_tile)}
-        for reading in (Reading.of(store), Reading.of(calm))
-    )
     records = [{record.sums for record in each.records()} for each in (store, calm)]
-    return "equal bit by bit" if ours == theirs and records[0] == records[1] else "NOT EQUAL"
+    return "equal bit by bit" if tiles(store) == tiles(calm) and records[0] == records[1] else "NOT EQUAL"
 
 
 def _kill_workers(folder: Path, paths: list[Path], calm: Store) -> None:

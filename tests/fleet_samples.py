@@ -1,4 +1,4 @@
-"""Logs of one place for the tests of stores, and what one process makes of them."""
+"""Logs of one place for the tests of stores."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,10 +8,8 @@ import numpy as np
 from commands import SAMPLE
 from echogrid.fleet.job import Outcome, Task, add
 from echogrid.fleet.poses import OwnPoses, Poses
-from echogrid.fleet.reading import Reading
-from echogrid.fleet.store import Store, model_of_stores
+from echogrid.fleet.store import Store
 from echogrid.frame import Frame
-from echogrid.grid import Grid, GrowingGrid
 from echogrid.logs.csv_log import write_csv
 from echogrid.logs.formats import load_log
 from echogrid.robot import Robot, robot_yaml
@@ -45,28 +43,6 @@ def filled(folder: Path, paths: Sequence[Path]) -> Store:
 
 def added(store: Store, log: Path, poses: Poses | None = None) -> Outcome:
     return add(task(store, log, poses))
-
-
-def tiles(store: Store) -> dict[tuple[int, int], bytes]:
-    """What the cells of all tiles hold, bit by bit."""
-    reading = Reading.of(store)
-    return {tile: kept.tobytes() for tile, kept in reading.tiles(reading.by_tile)}
-
-
-def in_one_process(paths: Sequence[Path]) -> Grid:
-    """The map of all logs: each is a drive with a memory of its own, and all add to the same cells."""
-    model = model_of_stores()
-    grown = GrowingGrid(model.cell_m, model.fusion(ROBOT, model.cell_m).blank, model.p_min)
-    for path in paths:
-        fusion = model.fusion(ROBOT, model.cell_m)
-        for batch in fusion.batches(list(load_log(path, ROBOT))):
-            evidence = fusion.read(batch)()
-            grown.reserve(evidence.corner, evidence.end)
-            fusion.fuse(grown, evidence)
-    corner, shape = grown.reserved()
-    fusion.changed(corner, corner + shape)
-    fusion.read_out(grown, corner, shape)
-    return grown.grid()
 
 
 def shifted(frames: Sequence[Frame], x: float, y: float) -> list[Frame]:

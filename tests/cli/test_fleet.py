@@ -11,6 +11,7 @@ import yaml
 pytest.importorskip("distributed", reason="found no dask.distributed")
 pytest.importorskip("zarr", reason="found no zarr")
 
+from benchmarks.fleet import one_process, tiles
 from commands import MAP_FILES, assert_refused, everything
 from echogrid.cli.fleet import _tell
 from echogrid.extras import EXTRAS
@@ -18,7 +19,7 @@ from echogrid.fleet import engine
 from echogrid.fleet.job import Outcome
 from echogrid.fleet.store import Store
 from echogrid.output.map_file import read_map
-from fleet_samples import PIECES, filled, in_one_process, logs, shifted, tiles
+from fleet_samples import PIECES, ROBOT, filled, logs, shifted
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +50,7 @@ def test_logs_go_in_a_map_comes_out_and_what_was_done_is_not_done_again(here, ru
     status, out, err = run("tiles", "store", "--out", "house")
     assert (status, err) == (0, "")
     assert {path.name for path in (here / "house").iterdir()} == MAP_FILES
-    ours, theirs = read_map(here / "house"), in_one_process([here / name for name in LOGS]).observed_part()
+    ours, theirs = read_map(here / "house"), one_process([here / name for name in LOGS], ROBOT).observed_part()
     assert theirs is not None
     assert ours.origin == pytest.approx(theirs.origin)
     clipped = np.clip(theirs.log_odds, ours.log_odds.min(), ours.log_odds.max())

@@ -12,12 +12,13 @@ import pytest
 pytest.importorskip("distributed", reason="found no dask.distributed")
 pytest.importorskip("zarr", reason="found no zarr")
 
+from benchmarks.fleet import tiles
 from echogrid.errors import UsageError
 from echogrid.fleet import engine
 from echogrid.fleet.job import Task
 from echogrid.fleet.poses import OwnPoses
 from echogrid.fleet.store import Store
-from fleet_samples import filled, logs, task, tiles
+from fleet_samples import filled, logs, task
 from fleet_work import breaks, dies_at_first, sleeps
 
 

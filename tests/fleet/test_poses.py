@@ -3,6 +3,7 @@ import pytest
 
 pytest.importorskip("zarr", reason="found no zarr")
 
+from benchmarks.fleet import tiles
 from echogrid.fleet.poses import FilePoses, MapPoses, map_hash
 from echogrid.fleet.reading import Reading
 from echogrid.fleet.store import Store
@@ -10,7 +11,7 @@ from echogrid.geometry import compose
 from echogrid.grid import Grid
 from echogrid.output.map_file import write_grid
 from echogrid.output.trajectory import write_tum
-from fleet_samples import FRAMES, PIECES, added, filled, logs, tiles
+from fleet_samples import FRAMES, PIECES, added, filled, logs
 
 
 def turned(frames, by):

@@ -6,6 +6,7 @@ import pytest
 
 pytest.importorskip("zarr", reason="found no zarr")
 
+from benchmarks.fleet import one_process, tiles
 from commands import SAMPLE
 from echogrid.errors import InputError, UsageError
 from echogrid.fleet import job
@@ -15,7 +16,7 @@ from echogrid.fleet.reading import Reading
 from echogrid.fleet.store import Store
 from echogrid.fleet.sums import Writer, opened
 from echogrid.mapping.build import build_map
-from fleet_samples import FRAMES, PIECES, ROBOT, added, filled, in_one_process, logs, shifted, task, tiles
+from fleet_samples import FRAMES, PIECES, ROBOT, added, filled, logs, shifted, task
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +47,7 @@ def test_a_store_of_one_log_is_read_as_the_map_of_that_log(tmp_path):
 
 
 def test_a_store_of_many_is_read_as_one_process_that_adds_them_all(home, paths):
-    agree(Reading.of(Store(home / "store")).grid(), in_one_process(paths), 1e-3)
+    agree(Reading.of(Store(home / "store")).grid(), one_process(paths, ROBOT), 1e-3)
 
 
 def test_the_order_of_the_logs_changes_no_bit(home, paths, tmp_path):

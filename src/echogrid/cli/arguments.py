@@ -1,7 +1,8 @@
 """What several commands take: a log with its robot, a world, physics, a seed; and their progress bar."""
 
 import sys
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from importlib import resources
 from pathlib import Path
@@ -85,6 +86,18 @@ def drop(folder: Path, besides: Collection[str] = (), log: str | None = None) ->
 def bar[T](items: Iterable[T], what: str, unit: str, total: int | None = None) -> Iterator[T]:
     """A progress bar round an iterable; silent where there is no terminal."""
     return iter(tqdm(items, desc=what, unit=unit, total=total, disable=None, leave=False))
+
+
+@contextmanager
+def steps(what: str, unit: str) -> Generator[Callable[[int, int], None]]:
+    """A progress bar that is told how much is done, and of how much; silent where there is no terminal."""
+    with tqdm(desc=what, unit=unit, disable=None, leave=False) as line:
+
+        def progress(done: int, of: int) -> None:
+            line.total = of
+            line.update(done - line.n)
+
+        yield progress
 
 
 def shown(log: Log, what: str) -> Iterator[Frame]:

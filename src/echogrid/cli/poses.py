@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from tqdm import tqdm
 
-from echogrid.cli.arguments import shown
+from echogrid.cli.arguments import shown, steps
 from echogrid.errors import escaped
 from echogrid.frame import Log
 from echogrid.output.graph_file import write_g2o
@@ -25,12 +24,7 @@ def corrected(log: Log, robot: Robot) -> "Corrected":
     from echogrid.position.corrected import slam
 
     read = replace(log, open=lambda: shown(log, "reading"), judges=True)
-    with tqdm(desc="finding poses", unit="node", disable=None, leave=False) as line:
-
-        def progress(done: int, of: int) -> None:
-            line.total = of
-            line.update(done - line.n)
-
+    with steps("finding poses", "node") as progress:
         return slam(read, robot, progress)
 
 

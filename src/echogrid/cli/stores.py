@@ -2,17 +2,14 @@
 
 import sys
 import time
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
-from tqdm import tqdm
 from tyro.conf import Positional, arg
 
-from echogrid.cli.arguments import check_map, drop
+from echogrid.cli.arguments import check_map, drop, steps
 from echogrid.cli.fleet import counted
 from echogrid.errors import UsageError, escaped
 from echogrid.extras import need
@@ -68,7 +65,7 @@ class Tiles:
         region = _region(reading, self.region)
         with made(self.out):
             check_folder(self.out)
-            grid = _grid(reading, region, "reading")
+            grid = _grid(reading, region)
             if self.region is None:
                 grid = grid.observed_part() or grid
             if self.resolution is not None and self.resolution != grid.resolution:
@@ -89,7 +86,7 @@ class Tiles:
 
         if self.region is not None or self.resolution is not None:
             raise UsageError("--view: found it with --region or --resolution, expected it alone: the page has all")
-        with made(self.out), _bar("reading") as progress:
+        with made(self.out), steps("reading", "block") as progress:
             check_writable(self.out / PAGE)
             title = f"{self._name()}, {counted(len(reading.records))}"
             write_tile_page(self.out, reading, escaped(title), progress)
@@ -118,22 +115,10 @@ def _region(reading: "Reading", text: str | None, option: str = "--region") -> "
     return reading.region(x0, y0, x1, y1)
 
 
-def _grid(reading: "Reading", region: "Region | None", what: str) -> "Grid":
+def _grid(reading: "Reading", region: "Region | None") -> "Grid":
     """The map of a part, under a progress bar."""
-    with _bar(what) as progress:
+    with steps("reading", "block") as progress:
         return reading.grid(region, progress)
-
-
-@contextmanager
-def _bar(what: str) -> Generator[Callable[[int, int], None]]:
-    """A progress bar that is told how much is done, and of how much."""
-    with tqdm(desc=what, unit="block", disable=None, leave=False) as line:
-
-        def progress(done: int, of: int) -> None:
-            line.total = of
-            line.update(done - line.n)
-
-        yield progress
 
 
 def _print_robots(reading: "Reading") -> None:
@@ -177,7 +162,7 @@ class Changes:
         region = _region(readings[1], self.region) or common(*readings)
         with made(self.out):
             check_changes_folder(self.out)
-            before, after = (_grid(reading, region, "reading") for reading in readings)
+            before, after = (_grid(reading, region) for reading in readings)
             found = compare(before, after)
             title = f"{self.after.name}, and what has changed since {self.before.name}"
             write_changes(self.out, found, escaped(title))

@@ -25,9 +25,6 @@ from echogrid.ros.messages import Choice
 MOST_CELLS = 2**22
 """Cells of the map that a worker holds at once, 140 MB; of a drive that goes farther it puts by what it has."""
 
-_CHUNK = 2**20
-"""Bytes of a log that are hashed at once."""
-
 
 @dataclass(frozen=True)
 class Task:
@@ -114,10 +111,8 @@ def log_hash(path: Path) -> str:
         raise InputError(path, "something that is not a plain file", "a log")
     total = hashlib.sha256()
     for file in files:
-        own = hashlib.sha256()
         with open(file, "rb") as content:
-            while chunk := content.read(_CHUNK):
-                own.update(chunk)
+            own = hashlib.file_digest(content, "sha256")
         if file == path:
             return own.hexdigest()
         total.update(f"{file.relative_to(path)} {own.hexdigest()}\n".encode())

@@ -4,13 +4,10 @@
 higher level four of the level below. A pixel is as occupied as the most occupied of its cells.
 """
 
-import html
-import json
-import re
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from importlib import resources
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +20,7 @@ from echogrid.fleet.lattice import TILE, Region, Tile
 from echogrid.fleet.reading import BLOCK, Reading
 from echogrid.fleet.store import model_of_stores
 from echogrid.grid import Grid
-from echogrid.output.page import policy
+from echogrid.output.page import filled_page
 from echogrid.temporary import beside
 
 Codes = UInt8[ndarray, "rows cols"]
@@ -59,7 +56,8 @@ def write_tile_page(
         shutil.rmtree(folder / PICTURES, ignore_errors=True)
         pictures.rename(folder / PICTURES)
     with replacing(folder / PAGE) as new:
-        new.write_bytes(_filled(facts, title).encode("utf-8", "replace"))
+        page = filled_page("tiles.html", facts, title, images="'self' file: data:")
+        new.write_bytes(page.encode("utf-8", "replace"))
 
 
 @dataclass
@@ -76,6 +74,11 @@ class _Pyramid:
     _done: int = 0
     _block: tuple[Tile, Grid | None] = ((-1, -1), None)
     """The block that was read last, for its tiles follow each other."""
+
+    @cached_property
+    def _blocks(self) -> int:
+        """How many hold anything."""
+        return len({tuple((np.array(tile) - self.first) // BLOCK) for tile in self.reading.by_tile})
 
     def node(self, level: int, row: int, col: int) -> Codes | None:
         """Write a picture and all below it; None where nothing was seen."""
@@ -110,8 +113,7 @@ class _Pyramid:
             self._block = at, self.reading.grid(Region(low, low + BLOCK * TILE))
             self._done += 1
             if self.progress:
-                blocks = {tuple((np.array(tile) - self.first) // BLOCK) for tile in self.reading.by_tile}
-                self.progress(self._done, len(blocks))
+                self.progress(self._done, self._blocks)
         grid = self._block[1]
         assert grid is not None
         part = np.s_[(row % BLOCK) * TILE : (row % BLOCK + 1) * TILE, (col % BLOCK) * TILE : (col % BLOCK + 1) * TILE]
@@ -126,14 +128,3 @@ def _write_png(path: Path, codes: Codes) -> None:
     picture = Image.fromarray(np.ascontiguousarray(codes[::-1])).convert("P")
     picture.putpalette(np.repeat(255 - np.arange(256, dtype=np.uint8), 3).tobytes())
     picture.save(path, optimize=False, transparency=0)
-
-
-def _filled(facts: dict[str, Any], title: str) -> str:
-    template = (resources.files("echogrid") / "data" / "tiles.html").read_text(encoding="utf-8")
-    text = json.dumps(facts, separators=(",", ":"))
-    places = {
-        "policy": policy(template, "'self' file: data:"),
-        "title": html.escape(title),
-        "facts": text.replace("<", "\\u003c").replace(">", "\\u003e"),
-    }
-    return re.sub(r"\{\{(\w+)\}\}", lambda place: places[place[1]], template)

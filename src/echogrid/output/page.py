@@ -280,28 +280,38 @@ def _chain(
 
 
 def _filled(facts: dict[str, Any], arrays: dict[str, ndarray], title: str) -> str:
-    """The template with all its places filled, each by text that cannot end the place it stands in."""
-    template = (resources.files("echogrid") / "data" / "page.html").read_text(encoding="utf-8")
+    """The page with all its places filled."""
     placed, packed = {}, bytearray()
     for name, array in arrays.items():
         placed[name] = [array.dtype.str[1:], len(packed), array.size]
         packed += np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).tobytes()
-    text = json.dumps(facts | {"arrays": placed}, separators=(",", ":"), allow_nan=False)
-    places = {
-        "policy": policy(template),
+    told = base64.b64encode(zlib.compress(packed, 9)).decode()
+    return filled_page("page.html", facts | {"arrays": placed}, title, packed=told)
+
+
+def filled_page(name: str, facts: dict[str, Any], title: str, images: str = "data:", **others: str) -> str:
+    """A template of a page with all its places filled, each by text that cannot end the place it stands in.
+
+    Args:
+        name: of the template among the data of the package.
+        facts: what its script is to know, as JSON has it.
+        title: any text.
+        images: where the browser may take images from.
+        others: of further places, taken as they are.
+    """
+    template = (resources.files("echogrid") / "data" / name).read_text(encoding="utf-8")
+    text = json.dumps(facts, separators=(",", ":"), allow_nan=False)
+    places = others | {
+        "policy": _policy(template, images),
         "title": html.escape(title),
         "facts": text.replace("<", "\\u003c").replace(">", "\\u003e"),
-        "packed": base64.b64encode(zlib.compress(packed, 9)).decode(),
     }
     # In one pass, so that nothing is filled into what was filled in.
     return re.sub(r"\{\{(\w+)\}\}", lambda place: places[place[1]], template)
 
 
-def policy(template: str, images: str = "data:") -> str:
-    """What the browser may do: run the page's own script and style, known by their hashes, and connect to nothing.
-
-    ``images``: where images may come from.
-    """
+def _policy(template: str, images: str) -> str:
+    """What the browser may do: run the page's own script and style, known by their hashes, and connect to nothing."""
     hashes = {}
     for kind in ("script", "style"):
         (content,) = re.findall(rf"<{kind}>(.*?)</{kind}>", template, re.DOTALL)
