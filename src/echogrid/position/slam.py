@@ -223,7 +223,8 @@ class Drive:
         self._follow(k)
         if k % COMPASS_EVERY == 0 and k >= 2 * COMPASS_HALF:
             last = k - COMPASS_HALF
-            for m in range(last if self._headings else last % COMPASS_EVERY, last + 1, COMPASS_EVERY):
+            begins = k < 2 * COMPASS_HALF + COMPASS_EVERY
+            for m in range(last % COMPASS_EVERY if begins else last, last + 1, COMPASS_EVERY):
                 self._look_along_walls(m)
         if k % LOOP_EVERY == 0 and self._solution is not None:
             self._close_loops(k)
