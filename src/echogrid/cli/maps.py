@@ -8,17 +8,17 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from echogrid.cli.arguments import Ros, check_map, drop, open_log, print_notes, robot_arg, shown
 from echogrid.cli.poses import POSE_FILES, corrected, pose_files, pose_settings, report, write_poses
-from echogrid.errors import InputError, escaped
+from echogrid.errors import escaped
 from echogrid.files import made, printable, replacing
 from echogrid.frame import Frame, Log
 from echogrid.grid import Grid
+from echogrid.mapping.intake import Heard
 from echogrid.output.folder import check_folder
 from echogrid.output.follower import Follower
 from echogrid.robot import Robot, robot_yaml
@@ -117,14 +117,11 @@ class Map:
         """Map the log, and show the followers its frames and the map on the way."""
         from echogrid.mapping.build import build_map
 
-        path, count, valid, grid = Track(), 0, False, None
+        path, heard, grid = Track(), Heard(), None
 
         def frames() -> Iterator[Frame]:
-            nonlocal count, valid
-            for frame in shown(log, "mapping"):
+            for frame in heard.of(shown(log, "mapping")):
                 path.add(float(frame.pose[0]), float(frame.pose[1]))
-                count += 1
-                valid = valid or not np.isnan(frame.ranges).all()
                 for follower in followers:
                     follower.add(frame)
                 yield frame
@@ -133,13 +130,10 @@ class Map:
         for grid in build_map(replace(log, open=frames, judges=True), robot, model, self.resolution, self.half_life):
             for follower in followers:
                 follower.keep(grid)
-        if grid is None:
-            raise InputError(log.name, "no frames", "at least one")
-        if not valid:
-            found = "no valid reading of any sonar: all are 0 m, nan or below min_range"
-            raise InputError(log.name, found, "ranges in m, or inf where there is no echo")
+        heard.check(log.name)
+        assert grid is not None  # of the first frame at least
         seconds = time.perf_counter() - begin
-        return _Mapped(grid.refined() if self.refine else grid, path.points(), count, seconds)
+        return _Mapped(grid.refined() if self.refine else grid, path.points(), heard.frames, seconds)
 
     def _settings(
         self, log: Log, robot: Robot, model: "Model", mapped: _Mapped, drive: "Corrected | None"

@@ -18,6 +18,7 @@ from echogrid.fleet.store import Record, Store, facts, model_of_stores
 from echogrid.fleet.sums import Writer
 from echogrid.frame import Frame
 from echogrid.logs.formats import load_log
+from echogrid.mapping.intake import Heard
 from echogrid.mapping.mapper import Mapper
 from echogrid.robot import Robot, parse_robot, presets_with, robot_yaml
 from echogrid.ros.messages import Choice
@@ -128,9 +129,9 @@ def _mapped(task: Task, store: Store, log: str, key: str, settings: str, poses: 
         expected = f"--robot to say where they sit{presets_with(read.sonars)}"
         raise InputError(path, f"{read.sonars} sonars", expected)
     posed = task.poses.place(read, path, robot)
-    writer, heard = Writer("int32"), _Heard()
+    writer, heard = Writer("int32"), Heard()
     _sum(Mapper(robot, model_of_stores()), heard.of(posed.frames), writer)
-    heard.check(path)
+    heard.check(str(path))
     writer.write(store.sums_at(key), log=log)
     notes = tuple(doubt + (f" ({count} times)" if count else "") for doubt, count in posed.notes.items())
     tiles: tuple[Tile, ...] = tuple(sorted(set(writer.tiles)))
@@ -163,24 +164,3 @@ def _sum(mapper: Mapper, frames: Iterable[Frame], writer: Writer) -> None:
         mapper.fuse(evidence)
     if held is not None:
         put_by()
-
-
-class _Heard:
-    """Whether there is anything in the frames of a log, which pass."""
-
-    def __init__(self) -> None:
-        self.frames, self._valid = 0, False
-
-    def of(self, frames: Iterable[Frame]) -> Iterable[Frame]:
-        for frame in frames:
-            self.frames += 1
-            self._valid = self._valid or not np.isnan(frame.ranges).all()
-            yield frame
-
-    def check(self, log: Path) -> None:
-        """Raise an InputError where there is nothing to map."""
-        if not self.frames:
-            raise InputError(log, "no frames", "at least one")
-        if not self._valid:
-            found = "no valid reading of any sonar: all are 0 m, nan or below min_range"
-            raise InputError(log, found, "ranges in m, or inf where there is no echo")

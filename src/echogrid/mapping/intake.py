@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from echogrid.errors import UsageError
+from echogrid.errors import InputError, UsageError
 from echogrid.frame import Frame
 from echogrid.limits import MOST_M, MOST_RAD, MOST_RANGE_M, MOST_STAMP_S, as_real, as_reals
 from echogrid.robot import Robot
@@ -165,3 +165,25 @@ def _kind(value: object) -> str:
     if isinstance(value, np.ndarray):
         return f"an array of {value.dtype}"
     return f"{type(value).__name__} {shown(value)}"
+
+
+class Heard:
+    """Whether there is anything to map in frames, which pass."""
+
+    def __init__(self) -> None:
+        self.frames, self._valid = 0, False
+
+    def of(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """The frames, each as it comes."""
+        for frame in frames:
+            self.frames += 1
+            self._valid = self._valid or not np.isnan(frame.ranges).all()
+            yield frame
+
+    def check(self, name: str) -> None:
+        """Raise an InputError on a log of that name if there was nothing."""
+        if not self.frames:
+            raise InputError(name, "no frames", "at least one")
+        if not self._valid:
+            found = "no valid reading of any sonar: all are 0 m, nan or below min_range"
+            raise InputError(name, found, "ranges in m, or inf where there is no echo")
