@@ -24,8 +24,8 @@ PLAN = {
     "models.networks": "weights memory set_layers set_encoder surroundings set_core set_network local_map "
     "paper_network paper_layers",
     "mapping": "registry intake mapper build",
-    "position": "motion graph matching echoes walls pieces bends slam forgetting growing beside online remapping "
-    "odometry corrected particles beams sights usual floor localiser localise",
+    "position": "motion graph matching echoes walls pieces bends contradictions slam forgetting growing beside "
+    "online remapping odometry corrected particles beams sights usual floor localiser localise",
     "calibration": "readings walls places beams health variants swaps calibrate findings",
     "planning": "clearance paths following frontiers asides explorer guiding explore",
     "training": "drives gradient_descent paper_examples paper_training set_lessons map_lessons map_training "

@@ -12,7 +12,8 @@ from echogrid import Frame, Log, Robot, load_log, slam
 from echogrid.errors import InputError, UsageError
 from echogrid.geometry import compose, inverse
 from echogrid.metrics import trajectory_error
-from echogrid.position.corrected import LEAST_SONARS, _alone, _loose
+from echogrid.position.contradictions import Compared
+from echogrid.position.corrected import LEAST_SONARS, _alone, _loose, at_odds
 from echogrid.position.graph import Edges
 from echogrid.position.slam import Found
 from experiments.studies.position.odometry import Odometry
@@ -140,23 +141,38 @@ def test_what_is_no_odometry_is_refused_in_one_line():
         slam(posed(TRUTH * np.where(np.arange(521)[:, None] == 1, np.nan, 1.0)), B21)
 
 
-def laps(gap_m, loops):
-    """What is found of two laps on one line of 20 m, so far beside each other."""
+def laps(gap_m, loops, alike=0, against=0):
+    """What is found of two laps on one line of 20 m, so far beside each other, whose walls lie so to each other."""
     x = np.concatenate([np.arange(0, 20, 0.5), np.arange(20, 0, -0.5)])
     nodes = np.column_stack([x, np.where(np.arange(80) < 40, 0.0, gap_m), np.zeros(80)])
     none = np.zeros(0, dtype=int)
     edges = Edges(none, none, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0))
-    return Found(nodes, nodes, np.arange(80), edges, loops, np.zeros(3))
+    together = Compared(np.full(80, alike), np.full(80, against))
+    return Found(nodes, nodes, np.arange(80), edges, loops, np.zeros(3), together)
 
 
 def test_laps_beside_each_other_that_no_loop_ties_are_told():
     far = [(0, 79)]
     (note,) = _loose(laps(1.0, far))
-    assert re.search(r"no loop ties them: walls may be double there \(longest, \d+\.\d m, from x ", note)
+    assert re.search(r"nothing ties them: walls may be double there \(longest, \d+\.\d m, from x ", note)
     assert _loose(laps(5.0, far)) == {}
     assert _loose(laps(1.0, [(i, 79 - i) for i in range(0, 40, 4)])) == {}
+    assert _loose(laps(1.0, far, alike=20)) == {}
+    assert _loose(laps(1.0, far, alike=2)) != {}
     # That there is no loop at all is told otherwise.
     assert _loose(laps(1.0, [])) == {}
+
+
+def odds(drive):
+    return at_odds(drive.poses, drive.together)
+
+
+def test_laps_whose_walls_contradict_each_other_are_told():
+    (note,) = odds(laps(1.0, [], alike=12, against=8))
+    where = r"walls are double there \(longest, 40\.1 m, from x 0\.0, y 0\.0 m\)"
+    assert re.search(rf"^along 40\.1 m of the drive .* free floor: {where}, or something was moved", note)
+    assert odds(laps(1.0, [], alike=20, against=8)) == {}
+    assert odds(laps(1.0, [], alike=2, against=2)) == {}
 
 
 def test_a_long_drive_without_a_loop_is_told():

@@ -11,6 +11,7 @@ from numpy import ndarray
 from echogrid.frame import Frame
 from echogrid.live.sonar_array import SonarArray
 from echogrid.mapping.mapper import Mapper
+from echogrid.position.corrected import at_odds
 from echogrid.position.online import OnlineSlam
 from echogrid.position.remapping import Remapping, Renewed
 from echogrid.robot import Robot
@@ -103,6 +104,7 @@ class Slam(Placing):
         self._finder = OnlineSlam(array.robot)
         self._remapping = Remapping(self._finder, make)
         self._newest: float | None = None
+        self._at_odds = -1
 
     @property
     @override
@@ -157,6 +159,10 @@ class Slam(Placing):
                 )
             else:
                 yield f"at {jump.stamp:.2f} s the odometry jumps or starts anew: the drive goes on from where it was"
+        if (graph := self._finder.graph) is not None and self._at_odds != self.drives:
+            for note in at_odds(graph.poses[: len(graph.together.alike)], graph.together):
+                self._at_odds = self.drives
+                yield note
 
     @override
     def status(self) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from echogrid.doubts import FASTEST_M_S, LEFT_OUT
@@ -13,8 +13,9 @@ from echogrid.frame import Frame, Log
 from echogrid.geometry import wrap
 from echogrid.mapping.intake import check_robot, cleaned, fitting
 from echogrid.position import motion
+from echogrid.position.contradictions import Compared
 from echogrid.position.odometry import mended
-from echogrid.position.slam import Found
+from echogrid.position.slam import APART, Found
 from echogrid.position.slam import slam as found_by
 from echogrid.robot import Robot
 
@@ -27,9 +28,9 @@ LEAST_M = 0.5
 UNHEARD_M = 3.0
 """A way without an echo that is longer is told."""
 
-BESIDE_M, BESIDE_NODES, TIED_NODES, LOOSE_M = 2.0, 20, 8, 3.0
-"""Parts of a drive that are so near, though so many nodes apart, see the same walls: if no loop begins or ends within
-so many nodes of one for longer than the last, it is told."""
+BESIDE_M, TIED_NODES, LOOSE_M = 3.0, 8, 3.0
+"""Parts of a drive that are so near, though far apart in time, see the same walls: if no loop begins or ends within
+so many nodes of one, nor a wall that it saw was seen from another, for longer than the last, it is told."""
 
 LONE_M = 30.0
 """In a drive that is longer it is told if no place was seen twice."""
@@ -105,6 +106,7 @@ def slam(log: Iterable[Frame], robot: Robot, progress: Callable[[int, int], obje
     else:
         found = found_by([replace(f, pose=p) for f, p in zip(frames, told.poses, strict=True)], robot, progress)
         notes |= _unheard(stamps, found.poses, ranges) | _alone(found) | _loose(found)
+        notes |= at_odds(found.poses[found.nodes], found.together)
     poses = told.poses if found is None else found.poses
     posed = Log(name, robot.sonars, log.robot if isinstance(log, Log) else None, _Posed(frames, poses), notes)
     return Corrected(replace(posed, judges=True), stamps, poses, odometry, found)
@@ -160,23 +162,43 @@ def _alone(found: Found) -> dict[str, int]:
 
 
 def _loose(found: Found) -> dict[str, int]:
-    """A note on parts of the drive that lie beside others and that no loop ties to them."""
+    """A note on parts of the drive that lie beside others and that nothing ties to them."""
     nodes = found.poses[found.nodes]
     number = np.arange(len(nodes))
-    tied = np.zeros(len(nodes), dtype=bool)
+    tied = found.together.joined
     for node in np.unique(np.array(found.loops, dtype=int)):
         tied[max(node - TIED_NODES, 0) : node + TIED_NODES + 1] = True
     beside = np.zeros(len(nodes), dtype=bool)
     for node in np.flatnonzero(~tied):
         near = np.hypot(*(nodes[:, :2] - nodes[node, :2]).T) < BESIDE_M
-        beside[node] = np.any(near & (np.abs(number - node) >= BESIDE_NODES))
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], beside, [0]])))
+        beside[node] = np.any(near & (np.abs(number - node) >= APART))
+    if not (where := _ways(nodes, beside)) or not found.loops:
+        return {}
+    what = f"{where[0]} of the drive lie beside another part of it and nothing ties them"
+    return {f"{what}: walls may be double {where[1]}": 0}
+
+
+def at_odds(nodes: Float[ndarray, "nodes 3"], together: Compared) -> dict[str, int]:
+    """A note on parts of a drive that saw walls where others saw free floor.
+
+    Args:
+        nodes: its places, m, m, rad.
+        together: how what was seen there lies together.
+    """
+    if not (where := _ways(nodes, together.doubtful)):
+        return {}
+    double = f"walls are double {where[1]}, or something was moved meanwhile"
+    return {f"along {where[0]} of the drive walls were seen where at other times there was free floor: {double}": 0}
+
+
+def _ways(nodes: Float[ndarray, "nodes 3"], which: Bool[ndarray, "nodes"]) -> tuple[str, str] | None:
+    """How long the ways through some of the nodes are in all, and where the longest is; None: none is long."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], which, [0]])))
     step = np.append(np.abs(motion.lengths(motion.steps(nodes))[0]), 0.0)
     runs = [(float(step[a:b].sum()), a) for a, b in zip(ends[::2], ends[1::2], strict=True)]
     runs = [run for run in runs if run[0] > LOOSE_M]
-    if not runs or not found.loops:
-        return {}
+    if not runs:
+        return None
     length, node = max(runs)
     x, y, _ = nodes[node].tolist()
-    where = f"{sum(run[0] for run in runs):.1f} m of the drive lie beside another part of it and no loop ties them"
-    return {f"{where}: walls may be double there (longest, {length:.1f} m, from x {x:.1f}, y {y:.1f} m)": 0}
+    return f"{sum(run[0] for run in runs):.1f} m", f"there (longest, {length:.1f} m, from x {x:.1f}, y {y:.1f} m)"

@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from echogrid.frame import Frame
 from echogrid.geometry import compose, wrapped
+from echogrid.position.contradictions import Compared, cells
 from echogrid.position.forgetting import chained_variance, handed_on, to_forget
 from echogrid.position.motion import PARAMETERS, chained, corrected, steps
 from echogrid.position.pieces import LocalMaps, Piece, spread_over
@@ -22,6 +23,9 @@ MOST_PIECES, FORGOTTEN = 1500, 150
 
 JUMPED = np.array([0.2, 0.2, 0.3])
 """Standard deviations (m, m, rad) of a way on which the odometry jumped: the robot may have moved meanwhile."""
+
+LOOKED_AT = 16
+"""After so many pieces it is looked whether what was seen at different times lies together."""
 
 BENT_AT, BENT = (16, 24, 32, 48, 64, 96, 128, 192, 256), np.deg2rad(0.5)
 """Pieces after which the heading bias is looked for once more, as long as no loop tells it better, and by how much
@@ -44,6 +48,8 @@ class Graph(NamedTuple):
     """How many were closed."""
     taken: int
     """How many scans were kept by then, with those that were forgotten."""
+    together: Compared
+    """How what the first of the pieces saw lies together, all but those that came since it was looked at last."""
 
     def frame_poses(self, last: int | None = None) -> Float[ndarray, "frames 3"]:
         """Poses of the frames in the map; of the last so many alone, which costs no more than they do."""
@@ -65,6 +71,7 @@ class Growing(Drive):
         self._kept, self._taken = list(frames), len(frames)
         # Variances of odometry that jumped, or past what is forgotten.
         self._merged: dict[int, Float[ndarray, "3"]] = {}
+        self._together, self._tried = Compared(*np.zeros((2, 1), dtype=int)), 0
         super().__init__(self._kept, np.array([frame.pose for frame in frames], dtype=float), robot)
         self._first = self._kept[self.cut[0].middle].pose
         for k in range(1, self.count):
@@ -86,10 +93,22 @@ class Growing(Drive):
         self._correct()
         self._information = self._odometry_information()
         self.place(self.count - 1)
+        self._cells.append(cells(self._own(self.count - 1, False)))
         if self.count in BENT_AT and not any(edge.loop for edge in self.matches):
             self._unbend()
         if self.count > MOST_PIECES:
             self._forget(FORGOTTEN)
+        if self.count % LOOKED_AT == 0:
+            self._look_back()
+
+    def _look_back(self) -> None:
+        """See whether what was seen at different times lies together; what did not before was tried in vain."""
+        self._together = self.compared()
+        if (doubtful := int(self._together.doubtful.sum())) > self._tried:
+            self.reconcile()
+            self._together = self.compared()
+            doubtful = int(self._together.doubtful.sum())
+        self._tried = doubtful
 
     def _unbend(self) -> None:
         """Place all pieces anew with the heading bias with which what was seen lies together best, if that is not
@@ -127,6 +146,7 @@ class Growing(Drive):
         self.matches = self._handed_on(gone, number)
         self._headings = {number[k]: heading for k, heading in self._headings.items() if k in number}
         self._walls = {number[k]: points for k, points in self._walls.items() if k in number}
+        self._cells = [self._cells[k] for k in stay]
         self._maps.keep(number)
         self._near = None
         self._seen.clear()
@@ -143,6 +163,7 @@ class Growing(Drive):
         self._correct()
         self._information = self._odometry_information()
         self._solve(self.count)
+        self._together = self.compared()
 
     def _without(self, gone: set[int], number: dict[int, int]) -> dict[int, Float[ndarray, "3"]]:
         """Variances of the odometry past pieces that are forgotten, by the number of the pair."""
@@ -170,7 +191,9 @@ class Growing(Drive):
         """As it is now, in the frame of the odometry's first poses."""
         poses = compose(self._first, self.poses)
         loops = sum(edge.loop for edge in self.matches)
-        return Graph(self._kept[:], tuple(self.cut), poses, self.by_odometry, self.drift, loops, self._taken)
+        return Graph(
+            self._kept[:], tuple(self.cut), poses, self.by_odometry, self.drift, loops, self._taken, self._together
+        )
 
     def equip(self, robot: Robot) -> None:
         """Go on with a robot that has got more sonars, behind those that it had."""

@@ -14,6 +14,7 @@ from numpy import ndarray
 from echogrid.frame import Frame
 from echogrid.geometry import compose, inverse, wrap
 from echogrid.position import bends, walls
+from echogrid.position.contradictions import Cells, Compared, cells, compared
 from echogrid.position.graph import Edges, Solution, chi2, joined, residuals, solve
 from echogrid.position.matching import FAIR, Field, Match, Seen, Target, match, seen
 from echogrid.position.motion import PARAMETERS, Drift, chained, corrected, lengths, steps
@@ -47,6 +48,10 @@ WIDE_M, WIDE_RAD = 0.25, np.deg2rad(6.0)
 DOUBTED = np.array([0.4, 0.4, np.deg2rad(6.0)])
 """Standard deviations (m, m, rad) that a pose has besides, if a match where the graph has it fits badly."""
 
+AMISS, APART, MOST_ROUNDS = np.array([1.0, 1.0, np.deg2rad(8.0)]), 20, 3
+"""Standard deviations (m, m, rad) that a pose has besides where what was seen contradicts what other pieces saw, so
+many before or after it at least, and how often that is looked for."""
+
 KERNEL = 4.0
 """Standard deviations beyond which a match counts less."""
 
@@ -63,9 +68,9 @@ POINTS, WIDE_POINTS = 900, 1500
 SOLVE_EVERY, SOLVE_ROUNDS = 2, 4
 
 UNFAIR, UNSURE = 0.0, 0.25
-"""If more of the loops than the last were looked for widely, the drive is placed once more with this in place of
-``matching.FAIR`` for those, all matches are made again with what is known at the end, and the drive is kept whose
-places lie together best."""
+"""If more of the loops than the last were looked for widely, and what was seen is at odds, the drive is placed once
+more with this in place of ``matching.FAIR`` for those, all matches are made again with what is known at the end, and
+the drive is kept whose places lie together best."""
 
 NEARLY, SHARPER, MOST_AGAIN = 0.8, 1.1, 2
 """Matches of a drive are made again if it lies together nearly as well as the other. The one that is kept is made
@@ -92,6 +97,8 @@ class Found:
     """Nodes between which a loop was closed."""
     drift: Float[ndarray, "3"]
     """What corrects the odometry: of its scale, of its heading (rad/m) and of its turning."""
+    together: Compared
+    """How what was seen round each node lies to what was seen at other times."""
 
 
 def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], object] | None = None) -> Found:
@@ -105,15 +112,16 @@ def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], o
     frames = list(frames)
     odometry = np.array([frame.pose for frame in frames], dtype=float)
     drive = _placed(Drive(frames, odometry, robot), progress)
+    drive.reconcile()
     if drive.unsure:
-        other = _placed(Drive(frames, odometry, robot, UNFAIR, drive), progress)
-        drive = _sharper(drive, other)
+        drive = _sharper(drive, _placed(Drive(frames, odometry, robot, UNFAIR, drive), progress))
+        drive.reconcile()
     drive.trust()
     poses = spread_over(drive.cut, drive.poses, drive.by_odometry)
     poses = compose(odometry[0], compose(inverse(poses[0]), poses))
     loops = [(edge.first, edge.second) for edge in drive.matches if edge.loop]
     nodes = np.array([piece.middle for piece in drive.cut])
-    return Found(poses, odometry, nodes, drive.edges(drive.count), loops, drive.drift)
+    return Found(poses, odometry, nodes, drive.edges(drive.count), loops, drive.drift, drive.compared())
 
 
 def _placed(drive: "Drive", progress: Callable[[int, int], object] | None) -> "Drive":
@@ -208,9 +216,10 @@ class Drive:
         self._solution: Solution | None = None
         self._correct()
         if like:
-            self._bias, self._points = like._bias, like._points
+            self._bias, self._points, self._cells = like._bias, like._points, like._cells
         else:
             self._points: list[Float[ndarray, "_ 2"]] = []
+            self._cells: list[Cells] = []
             self._bias = self._bends()
         self._step = corrected(self._step, np.array([0.0, self._bias, 0.0]))
         self._correct()
@@ -243,6 +252,30 @@ class Drive:
         for m in range(0, self.count, COMPASS_EVERY):
             self._look_along_walls(m)
         self._solve(self.count, 20)
+
+    def reconcile(self) -> None:
+        """Look once more, and widely, where what was seen contradicts what was seen at other times: there the poses
+        are less sure than the graph takes them to be. What does not make less of it is undone.
+        """
+        for _ in range(MOST_ROUNDS):
+            told = self.compared()
+            if self._solution is None or not told.doubtful.any():
+                return
+            before = self.poses.copy(), self.parameters, len(self.matches)
+            for k in np.flatnonzero(told.doubtful)[::LOOP_EVERY].tolist():
+                self._close_loops(k, AMISS)
+            if len(self.matches) == before[2]:
+                return
+            self._solve(self.count, 20)
+            if self.compared().share >= told.share:
+                self.poses, self.parameters = before[:2]
+                del self.matches[before[2] :]
+                self._solve(self.count)
+                return
+
+    def compared(self) -> Compared:
+        """How what was seen at different times lies together."""
+        return compared(self.poses, self._cells, APART)
 
     @property
     def drift(self) -> Float[ndarray, "3"]:
@@ -345,12 +378,14 @@ class Drive:
         """The heading bias (rad/m) that odometry still has, by what was seen along the drive."""
         for k in range(len(self._points), self.count):
             self._points.append(walls.surface_points(self._own(k, True), bends.MOST_POINTS, self._rng))
+            if k == len(self._cells):
+                self._cells.append(cells(self._own(k, False)))
         return bends.heading_bias(self._step, self.cut, self._points)
 
     @property
     def unsure(self) -> bool:
-        """Whether many of the loops were looked for widely."""
-        return self._looked[1] > UNSURE * self._looked[0]
+        """Whether many of the loops were looked for widely, and what was seen at different times is at odds."""
+        return self._looked[1] > UNSURE * self._looked[0] and bool(self.compared().doubtful.any())
 
     def sharpness(self) -> float:
         """How well what was seen at different times lies together."""
@@ -415,8 +450,13 @@ class Drive:
         patch.add(range(begin, k), self.poses)
         return to, patch
 
-    def _close_loops(self, k: int) -> None:
-        """Match a piece to the maps of places where the robot may have been long before."""
+    def _close_loops(self, k: int, amiss: Float[ndarray, "3"] | None = None) -> None:
+        """Match a piece to the maps of places where the robot may have been long before.
+
+        Args:
+            k: the piece.
+            amiss: standard deviations that its pose has beside those that the graph tells, m, m, rad.
+        """
         distance = np.hypot(*(self.poses[: max(0, k - self.loop_gap), :2] - self.poses[k, :2]).T)
         self._sought.clear()
         tried: list[int] = []
@@ -427,7 +467,7 @@ class Drive:
             # Those near one that is too far off are farther off and known no worse.
             if any(abs(j - other) < BEFORE for other in tried) or any(abs(j - other) < ANCHOR for other in too_far):
                 continue
-            covariance = self._relative(j, k)
+            covariance = self._relative(j, k) + (0.0 if amiss is None else np.diag(amiss**2))
             if distance[j] <= 1.5 + 2 * np.sqrt(np.max(np.linalg.eigvalsh(covariance[:2, :2]))):
                 tried.append(j)
                 self._close_loop(j, k, covariance)
