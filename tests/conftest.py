@@ -12,7 +12,7 @@ install_import_hook("echogrid", "beartype.beartype(conf=beartype.BeartypeConf(is
 
 # How long an example takes depends on what else the machine does. A change is judged by the same examples each time;
 # `pytest --hypothesis-profile=explore` looks for new ones, and for more.
-settings.register_profile("echogrid", deadline=None, derandomize=True, max_examples=50)
+settings.register_profile("echogrid", deadline=None, derandomize=True, max_examples=30)
 settings.register_profile("explore", deadline=None)
 settings.load_profile("echogrid")
 

@@ -25,7 +25,7 @@ CSV = b"t,x,y,theta,r0,r1\n0,1,2,0.5,1.5,inf\n0.5,1.25,2,0.5,,2.5\n"
 MOUNTS = "0.1 0 0 0 0.1 1.570796"
 
 # The file of all examples lies in one folder; a folder an example would take most of the time.
-many = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+many = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def put(folder: Path, content: bytes | str, name: str = "drive.log") -> Path:

@@ -37,6 +37,14 @@ def found():
     return slam(Log.of(posed(drifting())), B21)
 
 
+SHORT = 260
+
+
+@cache
+def found_of_less():
+    return slam(Log.of(posed(drifting())[:SHORT]), B21)
+
+
 def test_good_odometry_is_not_spoilt():
     drive = slam(Log.of(FRAMES), B21)
     assert trajectory_error(drive.poses, TRUTH).aligned_rms_m < 0.03
@@ -65,22 +73,22 @@ def test_the_first_pose_and_what_the_log_said_stay():
 
 def test_where_the_log_begins_does_not_matter():
     to = np.array([40.0, -7.0, 2.0])
-    moved = slam(Log.of(posed(compose(to, drifting()))), B21)
+    moved = slam(Log.of(posed(compose(to, drifting()))[:SHORT]), B21)
     # What differs in the last bit makes other cells, and other points are chosen from them.
-    assert trajectory_error(compose(inverse(to), moved.poses), found().poses).aligned_rms_m < 0.06
+    assert trajectory_error(compose(inverse(to), moved.poses), found_of_less().poses).aligned_rms_m < 0.06
 
 
 @pytest.mark.slow
 def test_a_mirrored_drive_has_the_mirrored_trajectory():
     mirror = np.array([1.0, -1.0, -1.0])
-    drive = slam(Log.of(posed(drifting() * mirror)), replace(B21, mounts=B21.mounts * mirror))
-    assert trajectory_error(drive.poses * mirror, found().poses).aligned_rms_m < 0.06
+    drive = slam(Log.of(posed(drifting() * mirror)[:SHORT]), replace(B21, mounts=B21.mounts * mirror))
+    assert trajectory_error(drive.poses * mirror, found_of_less().poses).aligned_rms_m < 0.06
 
 
 def test_found_again_it_is_the_same_to_the_last_bit():
-    again = slam(Log.of(posed(drifting())), B21)
-    np.testing.assert_array_equal(again.poses, found().poses)
-    assert again.loops == found().loops
+    again = slam(Log.of(posed(drifting())[:SHORT]), B21)
+    np.testing.assert_array_equal(again.poses, found_of_less().poses)
+    assert again.loops == found_of_less().loops
 
 
 def test_odometry_that_starts_anew_half_way_is_one_drive():
@@ -92,9 +100,9 @@ def test_odometry_that_starts_anew_half_way_is_one_drive():
 
 def test_a_robot_that_stands_for_a_minute_is_where_it_stood():
     stood = [replace(FRAMES[0], stamp=FRAMES[0].stamp - 60 + i / 10) for i in range(600)]
-    drive = slam(Log.of(stood + FRAMES), B21)
+    drive = slam(Log.of(stood + FRAMES[:SHORT]), B21)
     assert np.ptp(drive.poses[:600], axis=0).max() < 0.02
-    assert trajectory_error(drive.poses[600:], TRUTH).aligned_rms_m < 0.06
+    assert trajectory_error(drive.poses[600:], TRUTH[:SHORT]).aligned_rms_m < 0.06
 
 
 @pytest.mark.parametrize(
@@ -114,10 +122,10 @@ def test_where_there_is_nothing_to_find_the_odometry_stays_and_that_is_told(fram
 
 
 def test_a_long_way_without_an_echo_is_told():
-    deaf = [replace(frame, ranges=frame.ranges if i < 200 else np.full(24, np.inf)) for i, frame in enumerate(FRAMES)]
-    drive = slam(Log.of(deaf), B21)
+    deaf = [replace(frame, ranges=np.full(24, np.inf)) for frame in FRAMES[100:SHORT]]
+    drive = slam(Log.of(FRAMES[:100] + deaf), B21)
     assert np.isfinite(drive.poses).all()
-    assert any(note.startswith("no sonar heard an echo for 16.0 m, from 39.80 to 104.00 s") for note in drive.notes)
+    assert any(note.startswith("no sonar heard an echo for 8.0 m, from 19.80 to 51.80 s") for note in drive.notes)
 
 
 def test_progress_comes_to_its_end():
