@@ -37,7 +37,7 @@ def test_what_lies_beside_itself_is_at_odds(apart_m, doubtful):
     early = slice(3, 15)  # that are compared with many of the other half, and none of their own
     assert np.all(told.doubtful[early] == doubtful)
     assert np.all(told.joined[early] != doubtful)
-    assert (told.share == 0) != doubtful
+    assert (told.balance == told.alike.sum()) != doubtful
 
 
 def test_neighbours_are_not_compared():
@@ -48,7 +48,7 @@ def test_neighbours_are_not_compared():
 def test_where_nothing_was_seen_nothing_is_said():
     none = Cells(np.zeros((0, 2)), np.zeros((0, 2)), CELL)
     told = compared(np.zeros((3, 3)), [none] * 3, 1)
-    assert (told.share, told.doubtful.tolist(), told.joined.tolist()) == (0.0, [False] * 3, [False] * 3)
+    assert (told.balance, told.doubtful.tolist(), told.joined.tolist()) == (0, [False] * 3, [False] * 3)
 
 
 def laid_by_hand(poses, seen, apart):

@@ -1,6 +1,7 @@
 """Poses are found from ranges and odometry that drifts: laws on the shipped sample, a drive whose poses are true."""
 
 import re
+from copy import copy
 from dataclasses import replace
 from functools import cache
 
@@ -15,7 +16,7 @@ from echogrid.metrics import trajectory_error
 from echogrid.position.contradictions import Compared
 from echogrid.position.corrected import LEAST_SONARS, _alone, _loose, at_odds
 from echogrid.position.graph import Edges
-from echogrid.position.slam import Found
+from echogrid.position.slam import Drive, Found, MatchEdge
 from experiments.studies.position.odometry import Odometry
 
 B21 = Robot.load("b21")
@@ -189,3 +190,54 @@ def test_a_long_drive_without_a_loop_is_told():
     far = drive
     assert [note for note in _alone(far) if note.startswith("no place was seen twice")]
     assert _alone(replace(far, loops=[(0, 79)])) == {}
+
+
+@cache
+def without_loops():
+    """A drive that was placed by odometry and the chain of its scans alone, from odometry four times as bad."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("echogrid.position.slam.LOOPS", 0)
+        poses = Odometry().times(4).of(TRUTH, np.random.default_rng(5))
+        drive = Drive(posed(poses), poses, B21)
+        for k in range(1, drive.count):
+            drive.place(k)
+    return drive
+
+
+def own(drive):
+    """A copy that may be changed."""
+    other = copy(drive)
+    other.matches, other.poses = list(drive.matches), drive.poses.copy()
+    return other
+
+
+def off(drive):
+    at = [piece.middle for piece in drive.cut]
+    return trajectory_error(drive.poses, TRUTH[at]).aligned_rms_m
+
+
+def test_what_contradicts_itself_is_looked_at_once_more():
+    drive = own(without_loops())
+    before, against = off(drive), drive.compared().against.sum()
+    assert drive.compared().doubtful.any()
+    drive.reconcile()
+    assert drive.compared().against.sum() < 0.5 * against
+    assert off(drive) < 0.7 * before
+
+
+def test_a_look_that_brings_less_together_is_undone(monkeypatch):
+    drive = Drive(FRAMES[:SHORT], TRUTH[:SHORT], B21)
+    for k in range(1, drive.count):
+        drive.place(k)
+    poses, balance = drive.poses.copy(), drive.compared().balance
+
+    def torn(self, k, _):
+        self.matches.append(MatchEdge(0, k, np.array([k, 0.0, 0.0]), np.eye(3) * 1e4, True))
+
+    monkeypatch.setattr(Drive, "_close_loops", torn)
+    monkeypatch.setattr("echogrid.position.slam.KERNEL", np.inf)
+    monkeypatch.setattr("echogrid.position.contradictions.MOST_SHARE", -1.0)
+    assert drive.compared().doubtful.any()
+    drive.reconcile()
+    assert drive.compared().balance == pytest.approx(balance, rel=0.02)
+    np.testing.assert_allclose(drive.poses, poses, atol=0.05)

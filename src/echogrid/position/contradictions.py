@@ -58,9 +58,9 @@ class Compared(NamedTuple):
     """Cells of wall where others saw free floor, and none a wall."""
 
     @property
-    def share(self) -> float:
-        """Of all cells that others saw too those that contradict them."""
-        return float(self.against.sum() / max(1, self.against.sum() + self.alike.sum()))
+    def balance(self) -> int:
+        """Cells that agree with others, less those that contradict them: a drive that is torn apart does neither."""
+        return int(self.alike.sum() - self.against.sum())
 
     @property
     def doubtful(self) -> Bool[ndarray, "pieces"]:

@@ -255,7 +255,7 @@ class Drive:
 
     def reconcile(self) -> None:
         """Look once more, and widely, where what was seen contradicts what was seen at other times: there the poses
-        are less sure than the graph takes them to be. What does not make less of it is undone.
+        are less sure than the graph takes them to be. What brings less together is undone.
         """
         for _ in range(MOST_ROUNDS):
             told = self.compared()
@@ -267,9 +267,10 @@ class Drive:
             if len(self.matches) == before[2]:
                 return
             self._solve(self.count, 20)
-            if self.compared().share >= told.share:
+            if self.compared().balance <= told.balance:
                 self.poses, self.parameters = before[:2]
                 del self.matches[before[2] :]
+                self._correct()
                 self._solve(self.count)
                 return
 
