@@ -67,10 +67,10 @@ POINTS, WIDE_POINTS = 900, 1500
 
 SOLVE_EVERY, SOLVE_ROUNDS = 2, 4
 
-UNFAIR, UNSURE = 0.0, 0.25
-"""If more of the loops than the last were looked for widely, and what was seen is at odds, the drive is placed once
-more with this in place of ``matching.FAIR`` for those, all matches are made again with what is known at the end, and
-the drive is kept whose places lie together best."""
+UNFAIR, UNSURE, SHORT = 0.0, 0.25, 200
+"""If more of the loops than the second were looked for widely, and what was seen is at odds or the drive has so few
+pieces that this would hardly show, it is placed once more with the first in place of ``matching.FAIR`` for those, all
+matches are made again with what is known at the end, and the drive is kept whose places lie together best."""
 
 NEARLY, SHARPER, MOST_AGAIN = 0.8, 1.1, 2
 """Matches of a drive are made again if it lies together nearly as well as the other. The one that is kept is made
@@ -385,8 +385,9 @@ class Drive:
 
     @property
     def unsure(self) -> bool:
-        """Whether many of the loops were looked for widely, and what was seen at different times is at odds."""
-        return self._looked[1] > UNSURE * self._looked[0] and bool(self.compared().doubtful.any())
+        """Whether many of the loops were looked for widely, and that they are right does not show."""
+        shown = self.count >= SHORT and not self.compared().doubtful.any()
+        return self._looked[1] > UNSURE * self._looked[0] and not shown
 
     def sharpness(self) -> float:
         """How well what was seen at different times lies together."""
