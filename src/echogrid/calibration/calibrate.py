@@ -15,19 +15,20 @@ from numpy import ndarray
 from echogrid.calibration import beams, places
 from echogrid.calibration.beams import Beams, Chances
 from echogrid.calibration.health import Health, examine
-from echogrid.calibration.places import Places
-from echogrid.calibration.readings import Readings, gather, some, windows
+from echogrid.calibration.places import Axes, Places
+from echogrid.calibration.readings import WINDOW_M, Readings, gather, some, windows
 from echogrid.calibration.swaps import agreement, likely_pairs
 from echogrid.calibration.variants import AS_GIVEN, Ranked, Variant, applied, judged, ranked
-from echogrid.calibration.walls import find
+from echogrid.calibration.walls import MOST_WALLS, find
 from echogrid.errors import InputError
 from echogrid.frame import Frame, Log
 from echogrid.geometry import compose, wrap
 from echogrid.mapping.intake import check_robot, cleaned, fitting
 from echogrid.robot import Robot
 
-MOST_PARTS = 200
-"""Of a longer drive so many parts, spread over it, are looked at."""
+LONGER_M, MOST_PARTS = (3.0, 6.0, 12.0), 200
+"""Parts of the drive are as long as the poses hold: longer ones tell more, but where the poses drift fewer echoes
+touch walls in them. Of a longer drive so many parts, spread over it, are looked at."""
 
 LEAST_WALLS, LEAST_ECHOES = 8, 200
 """Of fewer walls, or echoes that touch them, nothing is concluded."""
@@ -35,9 +36,12 @@ LEAST_WALLS, LEAST_ECHOES = 8, 200
 WIDER_RAD = np.deg2rad([8.0, 6.0, 4.0, 3.0, 3.0])
 """Round after round, by how much more than the beam a sonar may hear off its axis."""
 
+FIRST, HALVES = WIDER_RAD[:2], WIDER_RAD[3:]
+"""The rounds by which swapped sonars are looked for, and those of half a drive, begun where the whole one ended."""
+
 LEAST_HALF_RAD = np.deg2rad(8.0)
 
-SHARPER, CANDIDATES, FEWEST, MOST_SWAPS = 2.0, 6, 5, 4
+SHARPER, CANDIDATES, FEWEST, MOST_SWAPS = 2.0, 5, 3, 4
 """Walls have to become sharper by so many standard deviations where two sonars are taken to be swapped. So many pairs
 that speak for it are tried, and those of so many sonars whose echoes touch the fewest walls; again after each swap
 that is found, up to so many."""
@@ -111,6 +115,19 @@ class Calibration:
         return ""
 
 
+class _Parts(NamedTuple):
+    spans: list[slice]
+    long_m: float
+
+    @property
+    def most(self) -> int:
+        """Walls of each."""
+        return round(MOST_WALLS * self.long_m / WINDOW_M)
+
+    def every_second(self, first: int) -> "_Parts":
+        return _Parts(self.spans[first::2], self.long_m)
+
+
 class _Fitted(NamedTuple):
     places: Places
     beams: Beams
@@ -137,14 +154,26 @@ def calibrate(frames: Iterable[Frame], robot: Robot) -> Calibration:
     ranks = ranked(useful, robot)
     taken = _taken(ranks)
     useful, given = applied(useful, robot, taken.variant)
-    parts = some(windows(useful), MOST_PARTS)
-    seat = _seats(useful, given, parts, name)
+    parts = _parts(useful, given)
+    seat, begin = _seats(useful, given, parts, name)
     given = replace(given, mounts=given.mounts[seat])
-    whole = _fitted(useful, given, parts, name)
-    inflation = _inflation(useful, given, parts)
-    echoes = int(np.isfinite(useful.only(parts).near()).sum())
+    whole = _fitted(useful, given, parts, name, WIDER_RAD[len(FIRST) :], begin)
+    inflation = _inflation(useful, given, parts, whole)
+    echoes = int(np.isfinite(useful.only(parts.spans).near()).sum())
     found = Calibration(given, given, health, ranks, taken, seat, *whole, inflation, echoes)
     return found if found.unsure else replace(found, robot=_robot(found))
+
+
+def _parts(readings: Readings, robot: Robot) -> _Parts:
+    """Parts of the drive as long as the poses hold."""
+    best, most = _Parts([], 0.0), -1.0
+    for long_m in LONGER_M:
+        parts = _Parts(some(windows(readings, long_m), MOST_PARTS), long_m)
+        share = judged(readings, Variant(AS_GIVEN, robot.mounts), parts.spans, robot.beam_width_rad, parts.most).share
+        if share < most:
+            break
+        best, most = parts, share
+    return best
 
 
 def _robot(found: Calibration) -> Robot:
@@ -162,40 +191,58 @@ def _taken(ranks: list[Ranked]) -> Ranked:
     return ranks[0] if ranks[0].surely_over(given) else given
 
 
-def _fitted(readings: Readings, given: Robot, parts: list[slice], name: str, rounds: int = len(WIDER_RAD)) -> _Fitted:
+def _fitted(
+    readings: Readings, given: Robot, parts: _Parts, name: str, wider: ndarray, begin: _Fitted | None = None
+) -> _Fitted:
     """Walls, places, scale, axes and beam, in turn until they agree.
+
+    Args:
+        readings: of the drive.
+        given: what was said of the robot before the log.
+        parts: of the drive.
+        name: of the log.
+        wider: of WIDER_RAD, a round each.
+        begin: where to begin; without it that is as it was given.
 
     Raises:
         InputError: there is too little to tell anything by.
     """
     mounts, scale, half = given.mounts, 1.0, given.beam_width_rad / 2
+    yaw_sd = np.full(given.sonars, beams.YAW_RAD)
+    if begin:
+        mounts = np.column_stack([begin.places.mounts[:, :2], begin.beams.yaw])
+        scale, half, yaw_sd = begin.places.scale, begin.beams.half, begin.beams.yaw_sd
     near = readings.near()
-    for wider in WIDER_RAD[:rounds]:
-        off = max(half, LEAST_HALF_RAD) + float(wider)
-        walls = find(compose(readings.poses, mounts), near / scale, parts, off)
+    for more in wider.tolist():
+        off = max(half, LEAST_HALF_RAD) + more
+        walls = find(compose(readings.poses, mounts), near / scale, parts.spans, off, parts.most)
         if len(walls.place) < LEAST_WALLS or len(walls.wall) < LEAST_ECHOES:
             found = f"{len(walls.wall)} echoes that touch {len(walls.place)} straight walls or corners"
             expected = (
                 f"{LEAST_ECHOES} and {LEAST_WALLS}, as of some {LEAST_WALLS} m along walls, to tell anything by"
             )
             raise InputError(name, found, expected)
-        place = places.fit(readings, mounts, given.mounts, walls, scale)
+        place = places.fit(readings, mounts, given.mounts, walls, scale, Axes(yaw_sd, half))
         scale = place.scale
         chances = beams.chances(readings, place.mounts, scale, place.walls, place.miss_m)
         beam = beams.fit(chances, given.mounts[:, 2], mounts[:, 2], half)
-        mounts, half = np.column_stack([place.mounts[:, :2], beam.yaw]), beam.half
+        mounts, half, yaw_sd = np.column_stack([place.mounts[:, :2], beam.yaw]), beam.half, beam.yaw_sd
     return _Fitted(place, beam, chances)
 
 
-def _seats(readings: Readings, given: Robot, parts: list[slice], name: str) -> list[int]:
-    """The mount of each sonar: likely pairs change places as long as that makes the walls sharper."""
+def _seats(readings: Readings, given: Robot, parts: _Parts, name: str) -> tuple[list[int], _Fitted]:
+    """The mount of each sonar, and a first fit with them.
+
+    Likely pairs change places as long as that makes the walls sharper.
+    """
     seat = np.arange(given.sonars)
-    hearing = np.isfinite(readings.only(parts).near()).sum(axis=0)
+    hearing = np.isfinite(readings.only(parts.spans).near()).sum(axis=0)
     for _ in range(MOST_SWAPS):
         now = replace(given, mounts=given.mounts[seat])
-        place, beam, _ = _fitted(readings, now, parts, name, rounds=2)
+        first = _fitted(readings, now, parts, name, FIRST)
+        place, beam = first.places, first.beams
         told = agreement(readings, now.mounts, beam, place.scale, place.walls, place.miss_m)
-        as_is = judged(readings, Variant(AS_GIVEN, now.mounts), parts, now.beam_width_rad)
+        as_is = judged(readings, Variant(AS_GIVEN, now.mounts), parts.spans, now.beam_width_rad, parts.most)
         best, most = None, SHARPER
         touching = np.bincount(place.walls.sonar, minlength=len(seat)) / np.maximum(hearing, 1)
         touching[hearing == 0] = np.inf
@@ -203,19 +250,21 @@ def _seats(readings: Readings, given: Robot, parts: list[slice], name: str) -> l
         for one, two in {*likely_pairs(told, CANDIDATES), *combinations(least, 2)}:
             mounts = now.mounts.copy()
             mounts[[one, two]] = mounts[[two, one]]
-            sharper = judged(readings, Variant("swapped", mounts), parts, now.beam_width_rad).over(as_is)
+            sharper = judged(readings, Variant("swapped", mounts), parts.spans, now.beam_width_rad, parts.most).over(
+                as_is
+            )
             if sharper > most:
                 best, most = [one, two], sharper
         if best is None:
-            break
+            return seat.tolist(), first
         seat[best] = seat[best[::-1]]
-    return seat.tolist()
+    return seat.tolist(), _fitted(readings, replace(given, mounts=given.mounts[seat]), parts, name, FIRST)
 
 
-def _inflation(readings: Readings, given: Robot, parts: list[slice]) -> tuple[float, float, float]:
+def _inflation(readings: Readings, given: Robot, parts: _Parts, whole: _Fitted) -> tuple[float, float, float]:
     """By how much more than their spreads places, axes and scale of two halves of the drive differ; at least 1."""
     try:
-        one, other = (_fitted(readings.only(parts[first::2]), given, parts[first::2], "half") for first in (0, 1))
+        one, other = (_fitted(readings, given, parts.every_second(first), "half", HALVES, whole) for first in (0, 1))
     except InputError:
         return 2.0, 2.0, 2.0  # half the drive says too little to tell
     apart = (one.places.mounts - other.places.mounts)[:, :2] / np.hypot(one.places.place_sd, other.places.place_sd)

@@ -78,6 +78,7 @@ def examine(readings: Readings) -> Health:
         heading = np.unwrap(readings.poses[heard[of == most], i, 2])
         value[i], often = values[most], counts[most] > STUCK * len(heard)
         stuck[i] = often and np.hypot(*way) > STUCK_M and np.ptp(heading) > STUCK_RAD
+        stuck[i] = stuck[i] and _kept(ranges[:, i], readings.poses[:, i, 2]) > STUCK
         repeats[i], stale[i] = _repeats(ranges[:, i], readings.poses[:, i])
         spikes[i] = _spikes(ranges[heard, i])
     flags = [np.nan_to_num(each) > 0 for each in (stuck, stale)]
@@ -85,6 +86,15 @@ def examine(readings: Readings) -> Health:
         share, dead, dead & (count == 0), flags[0], value, repeats, flags[1] & ~flags[0], spikes,
         np.nan_to_num(spikes) > CROSS_TALK,
     )  # fmt: skip
+
+
+def _kept(ranges: Float[ndarray, "frames"], heading: Float[ndarray, "frames"]) -> float:
+    """Share of echoes that stay the same to the last bit while the robot turns; 1 if it never does.
+
+    Beside a wall along which the robot drives, a sonar may hear the same all day; not while it turns.
+    """
+    asked = (np.abs(wrap(np.diff(heading))) > MOVED_RAD) & np.isfinite(ranges[1:]) & np.isfinite(ranges[:-1])
+    return float(np.mean(ranges[1:][asked] == ranges[:-1][asked])) if asked.any() else 1.0
 
 
 def _repeats(ranges: Float[ndarray, "frames"], poses: Float[ndarray, "frames 3"]) -> tuple[float, bool]:

@@ -90,8 +90,8 @@ def gather(frames: Iterable[Frame], robot: Robot, name: str = "log") -> Readings
     return found
 
 
-def windows(readings: Readings) -> list[slice]:
-    """The drive cut in parts of about WINDOW_M, and where the pose jumps; parts of too few frames are left out."""
+def windows(readings: Readings, long_m: float = WINDOW_M) -> list[slice]:
+    """The drive cut in parts of about ``long_m``, and where the pose jumps; parts of too few frames are left out."""
     poses = readings.poses[:, 0]
     step = steps(poses)
     jumps = jumped(step, np.diff(readings.stamps))
@@ -99,7 +99,7 @@ def windows(readings: Readings) -> list[slice]:
     out, first, way = [], 0, 0.0
     for i, (jump, one) in enumerate(zip(np.asarray(jumps).tolist(), went.tolist(), strict=True)):
         way += one
-        if jump or way >= WINDOW_M:
+        if jump or way >= long_m:
             out.append(slice(first, i + 1))
             first, way = i + 1, 0.0
     out.append(slice(first, len(poses)))

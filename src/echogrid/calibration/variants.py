@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from echogrid.calibration.readings import Readings, some, windows
-from echogrid.calibration.walls import find
+from echogrid.calibration.walls import MOST_WALLS, find
 from echogrid.geometry import compose
 from echogrid.robot import Robot
 
@@ -28,8 +28,8 @@ LEAST_PARTS = 4
 ALL_ORDERS = 4
 """Of so many sonars all orders are tried."""
 
-MOST_PARTS = 60
-"""So many parts, spread over the drive, are enough."""
+MOST_PARTS, FEW_PARTS, KEPT = 60, 6, 6
+"""So many parts, spread over the drive, are enough; a few of them tell which variants are worth looking at in all."""
 
 SAME_M = 0.02
 
@@ -114,19 +114,31 @@ def _at(mounts: Float[ndarray, "sonars 3"], order: tuple[int, ...] | list[int]) 
 
 
 def ranked(readings: Readings, robot: Robot) -> list[Ranked]:
-    """All variants that differ, the one of the sharpest walls first; of those alike the simplest is kept."""
-    parts = some(windows(readings), MOST_PARTS)
-    out: list[Ranked] = []
+    """All variants that differ, the one of the sharpest walls first; of those alike the simplest is kept.
+
+    Only the first KEPT, and that as given, are judged by all parts of the drive; the others follow, judged by a few.
+    """
+    different: list[Variant] = []
     for variant in variants(robot):
-        if not any(_alike(variant, other.variant) for other in out):
-            out.append(judged(_posed(readings, variant), variant, parts, robot.beam_width_rad))
-    return sorted(out, key=lambda each: -each.share)
+        if not any(_alike(variant, other) for other in different):
+            different.append(variant)
+
+    def best_first(some_of: list[Variant], parts: list[slice]) -> list[Ranked]:
+        judge = (judged(_posed(readings, each), each, parts, robot.beam_width_rad) for each in some_of)
+        return sorted(judge, key=lambda each: -each.share)
+
+    parts = some(windows(readings), MOST_PARTS)
+    first = best_first(different, some(parts, FEW_PARTS))
+    kept = [each.variant for i, each in enumerate(first) if i < KEPT or each.variant.name == AS_GIVEN]
+    return best_first(kept, parts) + [each for each in first if not any(each.variant is one for one in kept)]
 
 
-def judged(readings: Readings, variant: Variant, parts: list[slice], beam_width: float) -> Ranked:
-    """How sharp the walls are of a drive whose poses are as a variant has them; beam width in rad."""
+def judged(
+    readings: Readings, variant: Variant, parts: list[slice], beam_width: float, most: int = MOST_WALLS
+) -> Ranked:
+    """How sharp the walls (``most`` a part) are of a drive with the poses of a variant; beam width in rad."""
     ranges, half = readings.only(parts).near(), max(beam_width / 2, np.deg2rad(8.0)) + np.deg2rad(4.0)
-    walls = find(compose(readings.poses, variant.mounts), ranges, parts, half)
+    walls = find(compose(readings.poses, variant.mounts), ranges, parts, half, most)
     touching = np.array(
         [np.sum((walls.frame >= part.start) & (walls.frame < part.stop)) for part in parts], dtype=int
     )

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
+from scipy import ndimage
 
 from echogrid.geometry import wrap
 
@@ -38,6 +39,8 @@ class Walls:
     place: Float[ndarray, "walls 2"]
     """Of a line the angle of the normal that points away from the robot, rad, and its distance from the world's
     origin, m; of a point x and y, m."""
+    radius: Float[ndarray, "walls"]
+    """Of a point, m: posts are round, and edges send back so little that they are read late (below 0). Of lines 0."""
     extent: Float[ndarray, "walls 2"]
     """Where a line begins and ends along itself (the normal turned by a quarter), m; of points 0."""
     span: Int[ndarray, "walls 2"]
@@ -64,13 +67,19 @@ class Walls:
         to = place - at
         far = np.hypot(to[:, 0], to[:, 1])
         along = np.where(point, 0.0, at[:, 1] * n[:, 0] - at[:, 0] * n[:, 1])
-        distance = np.where(point, far, place[:, 1] - np.sum(n * at, axis=1))
+        distance = np.where(point, far - self.radius[wall], place[:, 1] - np.sum(n * at, axis=1))
         return distance, np.where(point[:, None], to / np.maximum(far, 1e-6)[:, None], n), along
 
     def parts(self) -> list[tuple[int, int, Int[ndarray, "some"]]]:
         """The parts of the drive that saw walls: first frame, that behind the last, which walls."""
         spans = np.unique(self.span, axis=0).tolist()
         return [(first, last, np.flatnonzero((self.span == (first, last)).all(axis=1))) for first, last in spans]
+
+    def near(self, frames: int, few: int) -> Bool[ndarray, "walls frames"]:
+        """Where each was heard by some sonar not more than a few frames before or after."""
+        heard = np.zeros((len(self.point), frames), dtype=bool)
+        heard[self.wall, self.frame] = True
+        return ndimage.binary_dilation(heard, np.ones((1, 2 * few + 1), dtype=bool))
 
     def faces(self, wall: Int[ndarray, "n"], along: Float[ndarray, "n"]) -> Bool[ndarray, "n"]:
         """Whether feet along lines (m, as of ``seen``) are on them; those of points always are."""
@@ -105,6 +114,7 @@ def find(
     ranges: Float[ndarray, "frames sonars"],
     parts: list[slice],
     half_rad: float,
+    most: int = MOST_WALLS,
 ) -> Walls:
     """Walls in each part of a drive.
 
@@ -113,6 +123,7 @@ def find(
         ranges: m; only finite ones vote.
         parts: of the drive.
         half_rad: how far off its axis a sonar may have heard.
+        most: walls of a part.
     """
     found: list[_Wall] = []
     spans, wall, frame, sonar = [], [], [], []
@@ -122,7 +133,7 @@ def find(
             continue
         at = sonars[part][f, s]
         middle = at[:, :2].mean(axis=0)
-        for one in _of_part(_Echoes(at[:, :2] - middle, at[:, 2], ranges[part][f, s], half_rad)):
+        for one in _of_part(_Echoes(at[:, :2] - middle, at[:, 2], ranges[part][f, s], half_rad), most):
             wall.append(np.full(len(one.members), len(found)))
             found.append(_moved(one, middle))
             spans.append((part.start, part.stop))
@@ -132,6 +143,7 @@ def find(
     return Walls(
         np.array([one.point for one in found], dtype=bool),
         np.array([one.place for one in found]).reshape(-1, 2),
+        np.zeros(len(found)),
         np.array([one.extent for one in found]).reshape(-1, 2),
         np.array(spans, dtype=int).reshape(-1, 2),
         *(np.concatenate(each) if each else none for each in (wall, frame, sonar)),
@@ -146,7 +158,7 @@ def _moved(one: _Wall, by: Float[ndarray, "2"]) -> _Wall:
     return one._replace(place=place, extent=one.extent + by[1] * cos - by[0] * sin)
 
 
-def _of_part(echoes: _Echoes) -> Iterator[_Wall]:
+def _of_part(echoes: _Echoes, most: int) -> Iterator[_Wall]:
     """Walls that many of the echoes touch, those of most votes first; each echo is of one."""
     offsets = np.arange(-echoes.half_rad, echoes.half_rad + 1e-9, STEP_RAD)
     angles, bins = round(2 * np.pi / STEP_RAD), int(2 * WIDE_M / STEP_M)
@@ -158,10 +170,10 @@ def _of_part(echoes: _Echoes) -> Iterator[_Wall]:
     left = np.ones(len(b), dtype=bool)
     votes = np.bincount((a * bins + b)[ok], minlength=angles * bins).reshape(angles, bins)
     walls = 0
-    for _ in range(3 * MOST_WALLS):
+    for _ in range(3 * most):
         smooth = votes[:, :-1] + votes[:, 1:]
         top = int(np.argmax(smooth))
-        if smooth.flat[top] < LEAST_VOTES or walls == MOST_WALLS:
+        if smooth.flat[top] < LEAST_VOTES or walls == most:
             return
         i, j = divmod(top, bins - 1)
         peak = ((a == i) & ((b == j) | (b == j + 1)) & ok).any(axis=1) & left

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from echogrid.calibration.beams import likelihood
+from echogrid.calibration.beams import GRID_RAD
 from echogrid.calibration.calibrate import Calibration
 from echogrid.calibration.findings import SURE
 from echogrid.files import check_writable, made, replacing
@@ -127,12 +127,10 @@ def _draw_beam(panel: "Axes", found: Calibration) -> None:
 
 def _draw_axes(panel: "Axes", found: Calibration) -> None:
     """How likely each turn of each sonar is, one above the other."""
-    aside = np.deg2rad(np.arange(-25.0, 25.01, 0.25))
-    turned = found.moved[:, 2]
-    for i in range(found.robot.sonars):
-        curve = likelihood(found.chances, found.beams, i)(aside - turned[i])
-        if np.isfinite(curve).all():
-            panel.fill_between(np.rad2deg(aside), i, i + 0.9 * curve, color="tab:blue", alpha=0.5, lw=0.5)
+    for i, (turned, told) in enumerate(zip(found.moved[:, 2], found.beams.told, strict=True)):
+        if told.any():
+            aside, curve = np.rad2deg(GRID_RAD + turned), 0.9 * np.exp(told)
+            panel.fill_between(aside, i, i + curve, color="tab:blue", alpha=0.5, lw=0.5)
     panel.axvline(0, color="k", lw=0.6)
     panel.set(
         title="likelihood of each axis", xlabel="turned from as given (degrees)", ylabel="sonar", xlim=(-25, 25)
