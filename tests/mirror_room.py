@@ -28,8 +28,11 @@ def drive(frames=420):
     return np.column_stack([x, y, wrap(heading)])
 
 
-def ranges_of(sonars):
-    """Ranges of sonars at poses (m, m, rad) of any shape, m; inf where nothing sends back."""
+def ranges_of(sonars, late=0.0):
+    """Ranges of sonars at poses (m, m, rad) of any shape, m; inf where nothing sends back.
+
+    At the beam's edge walls are read too far away by a share (late), the less the nearer to the axis.
+    """
     at, axis, half_rad = sonars[..., :2], sonars[..., 2], np.deg2rad(HALF_DEG)
     best = np.full(axis.shape, np.inf)
     for p, q in zip(ROOM, np.roll(ROOM, -1, axis=0), strict=True):
@@ -39,7 +42,8 @@ def ranges_of(sonars):
         foot = (at - p) @ along
         off = np.abs(wrap(np.arctan2(outward[1], outward[0]) - axis))
         seen = (foot > 0) & (foot < np.linalg.norm(q - p)) & (distance > 0) & (off < half_rad)
-        best = np.where(seen & (distance < best), distance, best)
+        read = distance * (1 + late * (off / half_rad) ** 4)
+        best = np.where(seen & (read < best), read, best)
     for corner in ROOM:
         to = corner - at
         off = np.abs(wrap(np.arctan2(to[..., 1], to[..., 0]) - axis))
@@ -47,10 +51,10 @@ def ranges_of(sonars):
     return best
 
 
-def frames_of(robot, scale=1.0, noise=0.003, poses=None, seed=0):
+def frames_of(robot, scale=1.0, noise=0.003, poses=None, seed=0, late=0.0):
     """A drive of a robot whose ranges are wrong by a scale and white noise (m)."""
     poses, rng = drive() if poses is None else poses, np.random.default_rng(seed)
-    ranges = ranges_of(compose(poses[:, None], robot.mounts[None]))
+    ranges = ranges_of(compose(poses[:, None], robot.mounts[None]), late)
     ranges = robot.clean(np.round(scale * ranges + noise * rng.standard_normal(ranges.shape), 4))
     return [Frame(0.1 * i, pose, row) for i, (pose, row) in enumerate(zip(poses, ranges, strict=True))]
 

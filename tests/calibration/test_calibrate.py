@@ -47,6 +47,14 @@ def test_intervals_hold_the_truth(found):
     assert np.mean(np.abs(off) < 3 * found.moved_sd) > 0.9
 
 
+def test_weak_echoes_that_are_read_late_pass_neither_for_a_place_nor_for_a_scale():
+    found = calibrate(frames_of(TRUE, late=0.015), TRUE)
+    assert found.unsure == ""
+    assert np.abs(found.moved[:, :2]).max() < 0.01
+    assert found.places.scale == pytest.approx(1.0, abs=0.002)
+    assert found.places.late.sum() > 0.001
+
+
 def test_a_wrong_scale_is_told_and_a_right_one_is_not(found):
     assert any("ranges read 1.0" in line for line in findings.of_ranges(found))
     assert not list(findings.of_swaps(found))
@@ -107,6 +115,20 @@ def test_sonars_that_are_stuck_stale_or_hear_others_are_told_and_no_others():
     assert np.flatnonzero(health.stale).tolist() == [3]
     assert np.flatnonzero(health.cross_talk).tolist() == [5]
     assert np.flatnonzero(health.silent).tolist() == [7]
+
+
+def test_a_sonar_that_hears_the_wall_along_which_it_drives_is_not_stuck():
+    there = np.column_stack([np.linspace(1.0, 5.0, 100), np.full(100, 1.5), np.zeros(100)])
+    turn = np.column_stack([np.full((20, 2), [5.0, 1.5]), np.linspace(0.1, 3.1, 20)])
+    back = there[::-1] + np.array([0.0, 0.0, np.pi])
+    ranges = np.full((220, TRUE.sonars), np.inf)
+    ranges[:100, [2, 6]] = ranges[120:, [2, 6]] = 1.3
+    ranges[100:120, [2, 6]] = np.linspace(1.31, 1.9, 20)[:, None]
+    poses = np.concatenate([there, turn, back])
+    frames = [Frame(0.1 * i, pose, row) for i, (pose, row) in enumerate(zip(poses, ranges, strict=True))]
+    assert not examine(gather(frames, TRUE)).stuck.any()
+    ranges[:, 6] = 1.3
+    assert np.flatnonzero(examine(gather(frames, TRUE)).stuck).tolist() == [6]
 
 
 def test_ranges_in_coarse_steps_are_not_stale():

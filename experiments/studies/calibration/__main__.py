@@ -107,6 +107,7 @@ def trial(simulator: str, walls: str, name: str, number: int, seed: int) -> dict
         "as_given_first": found.ranks[0].variant.name == AS_GIVEN,
         "told": not found.unsure,
         "unsure": found.unsure,
+        "soft": found.soft,
         "share": found.share,
         "soft_deg": float(np.rad2deg(found.beams.soft)),
         "inflation": found.inflation,
@@ -160,7 +161,7 @@ COMMANDS = {
     "Slight-Right-Turn": (0.06, -0.7),
     "Sharp-Right-Turn": (0.0, -10.3),
 }
-"""Metres and degrees a second of scitos24's commands: how fast its ranges ahead and astern change, and its scan turns."""
+"""Metres and degrees a second of scitos24's commands: how fast ranges ahead and astern change, and its scan turns."""
 
 
 def scitos24(folder: Path, robot: Robot) -> list[Frame]:

@@ -46,10 +46,14 @@ SHARPER, CANDIDATES, FEWEST, MOST_SWAPS = 2.0, 5, 3, 4
 that speak for it are tried, and those of so many sonars whose echoes touch the fewest walls; again after each swap
 that is found, up to so many."""
 
-SOFT_RAD, LEAST_SHARE, MOST_APART = np.deg2rad(2.2), 0.55, 4.0
-"""A beam whose edge seems softer has looked at rough walls, which are heard far off the axis too; of an array whose
-echoes touch walls less often something else is wrong, and halves of a drive that differ so many times their spread
-hang on chance. Then mounts, beam and scale stay as they were given: what is told then is worse than a ruler."""
+SOFT_RAD, LEAST_SHARE, MOST_APART = np.deg2rad(2.2), 0.35, 4.0
+"""A beam whose edge seems softer has looked at rough walls, which are heard far off the axis too, and stays as it was
+given. Of an array whose echoes touch walls less often something else is wrong, and halves of a drive that differ so
+many times their spread hang on chance: then mounts, beam and scale stay."""
+
+APART, SCALE_SD = (1.4, 1.7, 1.4), 0.001
+"""Spreads of places, axes and scale are multiplied by so much at least: in simulated drives they were too small by
+that, though halves of a drive agreed. What weak echoes from far away are read late passes for so much of a scale."""
 
 
 @dataclass(frozen=True)
@@ -100,14 +104,16 @@ class Calibration:
     @property
     def scale_sd(self) -> float:
         """Standard deviation of the scale of the ranges."""
-        return self.places.scale_sd * self.inflation[2]
+        return float(np.hypot(self.places.scale_sd * self.inflation[2], SCALE_SD))
+
+    @property
+    def soft(self) -> bool:
+        """Whether the beam was left as it was given, for its edge is soft, as before rough walls."""
+        return bool(self.beams.soft > SOFT_RAD)
 
     @property
     def unsure(self) -> str:
         """Why mounts, beam and scale were left as they were given; empty: they were not."""
-        soft = np.rad2deg(self.beams.soft)
-        if self.beams.soft > SOFT_RAD:
-            return f"the edge of the beam is soft by {soft:.1f} degrees, as before rough walls"
         if self.share < LEAST_SHARE:
             return f"{self.share:.0%} of the echoes touch walls that the drive agrees on, too few"
         if max(self.inflation[:2]) > MOST_APART:
@@ -182,6 +188,8 @@ def _robot(found: Calibration) -> Robot:
     mounts[:, 2] = wrap(mounts[:, 2])
     mounts[found.health.useless] = found.given.mounts[found.health.useless]
     width = float(np.clip(2 * found.beams.half, np.deg2rad(1.0), np.pi))
+    if found.soft:
+        width = found.given.beam_width_rad
     return replace(found.given, mounts=mounts, beam_width_rad=width)
 
 
@@ -262,14 +270,15 @@ def _seats(readings: Readings, given: Robot, parts: _Parts, name: str) -> tuple[
 
 
 def _inflation(readings: Readings, given: Robot, parts: _Parts, whole: _Fitted) -> tuple[float, float, float]:
-    """By how much more than their spreads places, axes and scale of two halves of the drive differ; at least 1."""
+    """By how much more than their spreads places, axes and scale of two halves of a drive differ; APART at least."""
     try:
         one, other = (_fitted(readings, given, parts.every_second(first), "half", HALVES, whole) for first in (0, 1))
     except InputError:
-        return 2.0, 2.0, 2.0  # half the drive says too little to tell
+        return 2.5, 2.5, 2.5  # half the drive says too little to tell
     apart = (one.places.mounts - other.places.mounts)[:, :2] / np.hypot(one.places.place_sd, other.places.place_sd)
     turned = wrap(one.beams.yaw - other.beams.yaw) / np.hypot(one.beams.yaw_sd, other.beams.yaw_sd)
     scaled = (one.places.scale - other.places.scale) / np.hypot(one.places.scale_sd, other.places.scale_sd)
-    place, axis = (max(1.0, float(np.sqrt(np.mean(each**2)))) for each in (apart, turned))
+    place, axis = (float(np.sqrt(np.mean(each**2))) for each in (apart, turned))
     # One number hangs on chance: that of the places, which are fitted with it, counts four times as much.
-    return place, axis, float(np.sqrt((4 * place**2 + scaled**2) / 5))
+    differ = place, axis, float(np.sqrt((4 * max(place, APART[0]) ** 2 + scaled**2) / 5))
+    return max(differ[0], APART[0]), max(differ[1], APART[1]), max(differ[2], APART[2])

@@ -81,8 +81,11 @@ def untold(found: Calibration) -> Iterator[str]:
     """What cannot be told from the log."""
     yield "an offset of all ranges, and how far out all sonars sit: walls move with them; a tape tells"
     if found.unsure:
-        yield f"mounts, beam, range scale: {found.unsure}; left as given: drive along smooth, straight walls"
+        yield f"mounts, beam, range scale: {found.unsure}; left as given: drive along straight, best smooth walls"
         return
+    if found.soft:
+        soft = np.rad2deg(found.beams.soft)
+        yield f"the beam: its edge is soft by {soft:.1f} degrees, as before rough walls; left as given"
     turned, moved = found.moved_sd[:, 2] * SURE > _WIDE_RAD, found.moved_sd[:, :2].max(axis=1) * SURE > _WIDE_M
     for which, what in ((turned, "axis to better than 5 degrees"), (moved, "place to better than 5 cm")):
         if which.any():
