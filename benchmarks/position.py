@@ -17,10 +17,10 @@ import numpy as np
 
 from echogrid import Localiser, Log, Robot, build_map, load_log, slam
 from echogrid.position.beams import Beams
+from echogrid.position.drive import Drive
 from echogrid.position.motion import Drift
 from echogrid.position.online import OnlineSlam
 from echogrid.position.particles import Particles
-from echogrid.position.slam import Drive
 from experiments.studies.position.cases import Case
 from experiments.studies.position.simulated import make
 

@@ -24,7 +24,7 @@ PLAN = {
     "models.networks": "weights memory set_layers set_encoder surroundings set_core set_network local_map "
     "paper_network paper_layers",
     "mapping": "registry intake mapper build",
-    "position": "motion graph matching echoes walls pieces bends contradictions slam forgetting growing beside "
+    "position": "motion graph matching echoes walls pieces bends contradictions drive slam forgetting growing beside "
     "online remapping odometry corrected particles beams sights usual floor localiser localise",
     "calibration": "readings walls places beams health variants swaps calibrate findings",
     "planning": "clearance paths following frontiers asides explorer guiding explore",

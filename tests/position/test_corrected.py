@@ -15,8 +15,9 @@ from echogrid.geometry import compose, inverse
 from echogrid.metrics import trajectory_error
 from echogrid.position.contradictions import Compared
 from echogrid.position.corrected import LEAST_SONARS, _alone, _loose, at_odds
+from echogrid.position.drive import Drive, MatchEdge
 from echogrid.position.graph import Edges
-from echogrid.position.slam import Drive, Found, MatchEdge
+from echogrid.position.slam import Found
 from experiments.studies.position.odometry import Odometry
 
 B21 = Robot.load("b21")
@@ -196,7 +197,7 @@ def test_a_long_drive_without_a_loop_is_told():
 def without_loops():
     """A drive that was placed by odometry and the chain of its scans alone, from odometry four times as bad."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("echogrid.position.slam.LOOPS", 0)
+        patch.setattr("echogrid.position.drive.LOOPS", 0)
         poses = Odometry().times(4).of(TRUTH, np.random.default_rng(5))
         drive = Drive(posed(poses), poses, B21)
         for k in range(1, drive.count):
@@ -235,7 +236,7 @@ def test_a_look_that_brings_less_together_is_undone(monkeypatch):
         self.matches.append(MatchEdge(0, k, np.array([k, 0.0, 0.0]), np.eye(3) * 1e4, True))
 
     monkeypatch.setattr(Drive, "_close_loops", torn)
-    monkeypatch.setattr("echogrid.position.slam.KERNEL", np.inf)
+    monkeypatch.setattr("echogrid.position.drive.KERNEL", np.inf)
     monkeypatch.setattr("echogrid.position.contradictions.MOST_SHARE", -1.0)
     assert drive.compared().doubtful.any()
     drive.reconcile()

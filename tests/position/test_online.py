@@ -11,11 +11,11 @@ from echogrid import Mapper, Robot, load_log
 from echogrid.errors import UsageError
 from echogrid.geometry import compose, inverse
 from echogrid.metrics import trajectory_error
+from echogrid.position.drive import MatchEdge
 from echogrid.position.forgetting import handed_on
 from echogrid.position.graph import Edges, residuals
 from echogrid.position.online import STOOD, OnlineSlam
 from echogrid.position.remapping import Remapping
-from echogrid.position.slam import MatchEdge
 from experiments.studies.position.odometry import Odometry
 
 B21 = Robot.load("b21")

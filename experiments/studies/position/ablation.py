@@ -24,13 +24,14 @@ NONE = 1e-9
 
 WITHOUT: dict[str, dict[str, object]] = {
     "whole": {},
-    "no loops": {"slam.LOOPS": 0},
+    "no loops": {"drive.LOOPS": 0},
     "no systematic error": {
         "bends.heading_bias": lambda *_: 0.0,
-        "slam.Drift": lambda: replace(Drift(), scale=NONE, bias=NONE, turning=NONE),
+        "drive.Drift": lambda: replace(Drift(), scale=NONE, bias=NONE, turning=NONE),
     },
-    "no directions of walls": {"slam.COMPASS_EVERY": np.iinfo(np.int64).max},
-    "one hypothesis": {"slam.UNSURE": np.inf},
+    "no directions of walls": {"drive.COMPASS_EVERY": np.iinfo(np.int64).max},
+    "one hypothesis": {"drive.UNSURE": np.inf},
+    "no second look": {"drive.MOST_ROUNDS": 0},
     "2.3 m reach": {"echoes.FAR_M": 2.3},
 }
 """What is put in the place of names in echogrid.position."""

@@ -14,8 +14,9 @@ from echogrid.geometry import wrap
 from echogrid.mapping.intake import check_robot, cleaned, fitting
 from echogrid.position import motion
 from echogrid.position.contradictions import Compared
+from echogrid.position.drive import APART
 from echogrid.position.odometry import mended
-from echogrid.position.slam import APART, Found
+from echogrid.position.slam import Found
 from echogrid.position.slam import slam as found_by
 from echogrid.robot import Robot
 

@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from echogrid.geometry import compose, inverse, wrap
-from echogrid.position.slam import MatchEdge
+from echogrid.position.drive import MatchEdge
 
 NEAR_M, NEAR_RAD = 0.7, np.deg2rad(60.0)
 """Pieces within this of each other saw the same."""

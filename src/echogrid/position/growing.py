@@ -12,10 +12,10 @@ from numpy import ndarray
 from echogrid.frame import Frame
 from echogrid.geometry import compose, wrapped
 from echogrid.position.contradictions import Compared, cells
+from echogrid.position.drive import Drive, MatchEdge
 from echogrid.position.forgetting import chained_variance, handed_on, to_forget
 from echogrid.position.motion import PARAMETERS, chained, corrected, steps
 from echogrid.position.pieces import LocalMaps, Piece, spread_over
-from echogrid.position.slam import Drive, MatchEdge
 from echogrid.robot import Robot
 
 MOST_PIECES, FORGOTTEN = 1500, 150
