@@ -8,6 +8,7 @@ import pytest
 from commands import MAP_FILES, assert_refused, put
 from echogrid import Robot, load_log, read_map, read_truth
 from echogrid.metrics import score
+from echogrid.output.trajectory import read_tum
 
 
 def test_a_room_is_explored_and_all_of_it_written(run, place):
@@ -30,6 +31,28 @@ def test_a_room_is_explored_and_all_of_it_written(run, place):
     first, again = read_map(out), read_map(place / "again")
     middles = first.centre_of(np.argwhere(first.observed))
     assert np.mean(np.abs(first.probability_at(middles) - again.probability_at(middles)) < 0.1) > 0.95
+
+
+def test_poses_that_it_finds_are_written_beside_those_of_its_wheels(run, place):
+    out = place / "explored"
+    status, _, noted = run("explore", "box.yaml", "--robot", "b21", "--seed", "2", "--slam", "--out", out)
+    assert (status, noted) == (0, "")
+    told = json.loads((out / "explore.json").read_text())
+    assert told["seen"] >= 0.97
+    assert told["collisions"] == 0
+    (stamps, found), (same, wheels) = (read_tum(out / f"{name}.tum") for name in ("trajectory", "odometry"))
+    np.testing.assert_array_equal(stamps, same)
+    log = {round(frame.stamp, 3): frame for frame in load_log(out / "drive.csv", Robot.load("b21"))}
+    true, told_by_wheels = (
+        np.array([getattr(log[round(stamp, 3)], name) for stamp in stamps]) for name in ("pose", "odom")
+    )
+    np.testing.assert_allclose(wheels[:, :2], told_by_wheels[:, :2], atol=1e-5)
+    off, drift = (np.max(np.hypot(*(poses - true)[:, :2].T)) for poses in (found, wheels))
+    assert 0 < off < 0.15
+    assert off < drift + 0.05  # in so small a room nothing has drifted far
+    # Explored anew with poses given, the folder keeps no poses found.
+    _, _, noted = run("explore", "box.yaml", "--robot", "b21", "--seed", "2", "--out", out)
+    assert "note: removed trajectory.tum, odometry.tum" in noted
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from echogrid.geometry import wrap
+from echogrid.geometry import compose, wrap
 from echogrid.grid import Grid
 from echogrid.live import live_map
 from echogrid.live.driving import REST, Drives, Goal, Velocity
@@ -41,13 +41,20 @@ class Robot(Drive):
         super().__init__(live)
         self.pose_, self.stuck, self.velocity = np.zeros(3), False, Velocity(0.0, 0.0)
         self.goals, self.velocities, self.farthest = [], [], 0.0
+        self.wall_x = np.inf
+        """A wall across the room that the map lacks, m; whoever looks at it hears it."""
+
+    def heard(self, mount):
+        x, _, theta = compose(self.pose_, np.array(mount))
+        off = (self.wall_x - x) / np.cos(theta) if np.cos(theta) > 0.7 else np.inf
+        return off if 0 < off < 4.0 else np.inf
 
     def go(self, seconds, ranges=True, odometry=True, silent=()):
         for _ in range(round(seconds / STEP_S)):
             if odometry:
                 self.pose(*self.pose_)
             if ranges:
-                self.ranges([None if i in silent else 1.0 for i in range(len(MOUNTS))])
+                self.ranges([None if i in silent else self.heard(mount) for i, mount in enumerate(MOUNTS)])
             before = len(self.pictures)
             self.step()
             for sent in self.pictures[before:]:
@@ -113,6 +120,15 @@ def test_it_looks_round_goes_where_the_map_ends_and_no_farther(driven):
     assert 1.1 < driven.farthest < 1.5 - 0.25 + 0.05
     assert driven.said("poses in odom") == 1
     assert driven.goals == []  # whoever takes them would drive as well
+
+
+def test_it_stops_before_what_it_hears_though_the_map_says_that_it_is_free(driven):
+    driven.wall_x = 0.8
+    driven.go(60.0)
+    assert driven.farthest < 0.8 - 0.25
+    driven.wall_x = np.inf  # carried away
+    driven.go(60.0)
+    assert driven.farthest > 1.1
 
 
 def test_when_it_is_done_it_stands_where_it_began_and_leaves_the_commands_to_others(driven, monkeypatch):

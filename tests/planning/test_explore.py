@@ -80,3 +80,17 @@ def test_seen_is_the_share_that_the_map_calls_free():
 def test_where_it_cannot_begin_is_said_before_it_drives(where, start, line):
     with pytest.raises(UsageError, match=line):
         Exploration(where, B21, np.array([*start, 0.0])).run()
+
+
+@pytest.mark.slow
+def test_a_robot_that_finds_its_poses_sees_all_touches_nothing_and_comes_home():
+    found = Exploration(ROOMS, B21, START, seed=1, slam=True).run()
+    assert found.end == "nothing that can be reached is unknown"
+    assert found.seen[-1, 2] >= 0.97
+    assert found.bumps == 0
+    assert found.home_m < 0.25
+    true = {frame.stamp: frame for frame in found.frames}
+    off = np.array([frame.pose - true[frame.stamp].pose for frame in found.placed])
+    drift = np.array([frame.odom - true[frame.stamp].pose for frame in found.placed])
+    assert np.max(np.hypot(*off.T[:2])) < np.max(np.hypot(*drift.T[:2]))
+    np.testing.assert_array_equal(found.placed[-1].odom, true[found.placed[-1].stamp].odom)

@@ -1,6 +1,7 @@
 """Explorations of buildings that nothing was tuned on: what is seen, by what way, and what is touched."""
 
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,23 +19,28 @@ BUILDINGS = (*(("flat", number) for number in range(10, 16)), ("ring", 10), ("ri
 """Held out: the explorer was made on flats 0, 1 and 3."""
 
 ROBOTS = ("b21", "p3dx")
+PARTS = {"exploring": "echogrid", "slam": "echogrid, poses found", "peer": "nearest frontier, nav2"}
+LEAST_SEEN = {"exploring": 0.99, "slam": 0.97, "peer": 0.99}
 
 
-def explored(kind: str, number: int, walls: str, robot_name: str, peer: bool = False) -> dict[str, Any]:
-    """One exploration, with its key.
+def explored(kind: str, number: int, walls: str, robot_name: str, part: str = "exploring") -> dict[str, Any]:
+    """One exploration, with its key, of a PART.
 
     A peer maps by Nav2's range layer and goes to the nearest frontier.
     """
-    key: dict[str, Any] = {"building": f"{kind}-{number}", "walls": walls, "robot": robot_name, "peer": peer}
+    key: dict[str, Any] = {"building": f"{kind}-{number}", "walls": walls, "robot": robot_name, "part": part}
     place, robot = building(kind, walls, number), Robot.load(robot_name)
     start = np.array([*place.way[0], 0.0])
-    chooser, mapper = Explorer(robot), Mapper(robot)
-    if peer:
+    chooser, mapper = Explorer(robot), Mapper
+    if part == "peer":
         explorer.GAIN_M = explorer.TURN_M = explorer.FAITH_M = 0.0
         explorer.LEVELS = (explorer.Level(0.65, 0.25),)
-        mapper = Mapper(robot, "nav2", 0.05)
+        mapper = partial(Mapper, model="nav2", resolution=0.05)
     try:
-        found = Exploration(place.world, robot, start, number, mapper=mapper, explorer=chooser).run()
+        exploration = Exploration(
+            place.world, robot, start, number, mapper=mapper, slam=part == "slam", explorer=chooser
+        )
+        found = exploration.run()
         return key | found.told() | {"tour_m": tour_m(place.world, robot, start[:2], 0.95)}
     except EchogridError as error:
         return key | {"failed": str(error)}
@@ -49,25 +55,25 @@ def ratio(one: dict[str, Any], share: str = "95%") -> float | None:
 def summary(found: list[dict[str, Any]]) -> str:
     """A row for each kind of walls and robot."""
     rows = []
-    for peer in sorted({one["peer"] for one in found}):
+    for part, name in PARTS.items():
         for walls in WALLS:
             for robot in ROBOTS:
-                some = [one for one in found if (one["walls"], one["robot"], one["peer"]) == (walls, robot, peer)]
+                some = [one for one in found if (one["walls"], one["robot"], one["part"]) == (walls, robot, part)]
                 done = [one for one in some if "failed" not in one]
                 if not done:
                     continue
                 seen = np.array([one["seen"] for one in done])
                 ratios = [value for one in done if (value := ratio(one)) is not None]
                 rows.append([
-                    "nearest frontier, nav2" if peer else "echogrid", walls, robot, str(len(done)),
+                    name, walls, robot, str(len(done)),
                     f"{np.mean(seen):.3f}", f"{np.median(seen):.4f}", f"{np.min(seen):.3f}",
-                    f"{np.count_nonzero(seen >= 0.99)}", f"{np.median(ratios):.2f}" if ratios else "-",
+                    f"{np.count_nonzero(seen >= LEAST_SEEN[part])}", f"{np.median(ratios):.2f}" if ratios else "-",
                     str(sum(one["collisions"] for one in done)),
                     f"{min(one['least_clearance_m'] for one in done):.3f}",
                     f"{max(one['home_m'] for one in done):.2f}", f"{np.median([one['way_m'] for one in done]):.0f}",
                     f"{np.median([one['decision_ms']['median'] for one in done]):.0f}",
                 ])  # fmt: skip
-    header = ("explorer", "walls", "robot", "runs", "seen", "median", "least", ">= 99 %", "95 % / tour", "collisions",
+    header = ("explorer", "walls", "robot", "runs", "seen", "median", "least", "enough", "95 % / tour", "collisions",
               "least clearance, m", "from home, m", "way, m", "decision, ms")  # fmt: skip
     return table(header, rows)
 

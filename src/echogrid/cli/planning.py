@@ -101,6 +101,7 @@ def _csv(way: "Way") -> str:
 
 
 _EXPLORED = ("drive.csv", "drive.truth.npz", "explore.json")
+_TRAJECTORIES = ("trajectory.tum", "odometry.tum")
 
 
 @dataclass(frozen=True)
@@ -119,6 +120,9 @@ class Explore:
     """Where it begins: m, m, degrees. Default: the start of the world, else its roomiest place."""
     walls: Literal["smooth", "rough", "as-given"] = "as-given"
     """Make all walls smooth or rough."""
+    slam: bool = False
+    """Find the poses by odometry, which drifts, and ranges, as on a real robot; else the true ones are given. Also
+    writes trajectory.tum (as found in the end) and odometry.tum."""
     seed: int = 0
     """The same seed gives the same drive."""
     physics: Physics = field(default_factory=Physics)
@@ -129,22 +133,22 @@ class Explore:
         from echogrid.output.map_file import write_map
         from echogrid.output.page import Page
         from echogrid.planning.explore import Exploration
-        from echogrid.planning.explorer import Explorer
 
         check_physics(self.physics)
         check_seed(self.seed)
         world, robot = World.load(self.world).with_walls(self.walls), Robot.load(self.robot)
         start = self._start(world, robot)
         title = escaped(f"{world.name} explored by {robot.name}, walls {self.walls}")
+        written = ["map.html", *(_TRAJECTORIES if self.slam else ())]
         with made(self.out):
-            check_folder(self.out, ["map.html"])
+            check_folder(self.out, written)
             for name in _EXPLORED:
                 check_writable(self.out / name)
             with (
                 replacing(self.out / "map.html") as html,
                 tqdm(desc="exploring", unit="m", disable=None, leave=False, bar_format="{desc}: {n:.1f} m") as line,
             ):
-                page, explorer, last = Page(html, robot, title), Explorer(robot), start
+                page, last = Page(html, robot, title), start
 
                 def show(frame: Frame) -> None:
                     nonlocal last
@@ -153,14 +157,14 @@ class Explore:
                     last = frame.pose
 
                 found = Exploration(
-                    world, robot, start, self.seed, self.physics, None, explorer, show, page.keep
+                    world, robot, start, self.seed, self.physics, slam=self.slam, on_frame=show, on_map=page.keep
                 ).run()
                 settings = asdict(self) | {"robot": robot_yaml(robot), "frames": len(found.frames)}
-                path = np.array([frame.pose[:2] for frame in found.frames])
+                path = np.array([frame.pose[:2] for frame in found.placed])
                 write_map(self.out, found.grid, path, settings, title)
                 page.finish(found.grid)
             self._write(world, robot, found)
-        drop(self.out, ["map.html"])
+        drop(self.out, written)
         self._report(world, robot, found)
 
     def _start(self, world: World, robot: Robot) -> Float[ndarray, "3"]:
@@ -175,9 +179,14 @@ class Explore:
         """Write what there is besides the map."""
         from echogrid.logs.csv_log import write_csv
         from echogrid.output.map_file import write_truth
+        from echogrid.output.trajectory import write_tum
         from echogrid.simulation.drive import truth_of
 
         poses = np.array([frame.pose for frame in found.frames])
+        if self.slam:
+            stamps = np.array([frame.stamp for frame in found.placed])
+            write_tum(self.out / "trajectory.tum", stamps, np.array([frame.pose for frame in found.placed]))
+            write_tum(self.out / "odometry.tum", stamps, np.array([frame.odom for frame in found.placed]))
         told: dict[str, Any] = {"world": world.name, "robot": robot.name, "walls": self.walls, "seed": self.seed}
         with (
             replacing(self.out / "explore.json") as record,

@@ -140,7 +140,7 @@ class Driving:
             self._stall = None
             return [STOP] if self._drives.itself else []
         pose = live_map.in_map(odometry)
-        sent = self._driven(live_map, pose, odometry) if self._drives.itself else self._sent(live_map, pose)
+        sent = (self._driven if self._drives.itself else self._sent)(live_map, pose, odometry)
         if self.explorer.state == "done":
             self._tell_end(pose)
         return sent
@@ -164,6 +164,8 @@ class Driving:
                 replace(robot, footprint_radius_m=radius), self._drives.pace, turns=self._drives.itself
             )
             self._guide = Guide(self.explorer)
+            if self._drives.itself:
+                live_map.follow(self.explorer.robot)
             self._begin_anew()
         elif robot is not self._array:
             self._array, self.explorer.robot = robot, replace(robot, footprint_radius_m=radius)
@@ -232,13 +234,13 @@ class Driving:
                 self.notices.append(what[1])
         self._doubt = doubt
 
-    def _think(self, live_map: LiveMap, pose: Float[ndarray, "3"]) -> bool:
+    def _think(self, live_map: LiveMap, pose: Float[ndarray, "3"], odometry: Float[ndarray, "3"]) -> bool:
         """Decide where to go, if that is due; whether it is known where to."""
         explorer = self.explorer
         assert explorer is not None
         if explorer.due(self._stamp):
             try:
-                explorer.think(live_map.grid(), pose, self._stamp)
+                explorer.think(live_map.with_near(live_map.grid(), pose, odometry), pose, self._stamp)
             except UsageError:  # nothing is known to be free yet
                 return False
         return True
@@ -248,9 +250,10 @@ class Driving:
     ) -> list[Goal | Velocity]:
         explorer = self.explorer
         assert explorer is not None
-        if not self._think(live_map, pose):
+        if not self._think(live_map, pose, odometry):
             return [STOP]
-        velocity = Velocity(*explorer.drive(live_map.around(pose, explorer.around_m()), pose))
+        around = live_map.with_near(live_map.around(pose, explorer.around_m()), pose, odometry)
+        velocity = Velocity(*explorer.drive(around, pose))
         if self._stalls(velocity, odometry):
             if self._moved and velocity.speed > 0:
                 x, y = pose[:2].tolist()
@@ -283,10 +286,12 @@ class Driving:
         self._stall = None
         return True
 
-    def _sent(self, live_map: LiveMap, pose: Float[ndarray, "3"]) -> list[Goal | Velocity]:
+    def _sent(
+        self, live_map: LiveMap, pose: Float[ndarray, "3"], odometry: Float[ndarray, "3"]
+    ) -> list[Goal | Velocity]:
         explorer = self.explorer
         assert explorer is not None
-        if not self._think(live_map, pose):
+        if not self._think(live_map, pose, odometry):
             return []
         target = self._guide.target(pose, self._stamp)
         if target is None:

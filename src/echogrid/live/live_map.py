@@ -23,8 +23,9 @@ from echogrid.live.telling import in_live
 from echogrid.mapping.mapper import Mapper
 from echogrid.models.networks.set_network import SetNetwork
 from echogrid.output.map_server_file import occupancy
+from echogrid.planning.nearby import Nearby
 from echogrid.position.remapping import Renewed
-from echogrid.robot import robot_yaml
+from echogrid.robot import Robot, robot_yaml
 from echogrid.ros.messages import Choice
 from echogrid.track import Track
 
@@ -131,6 +132,8 @@ class LiveMap:
         elif settings.slam:
             self.placing = Slam(array, self._empty, settings.map_frame, settings.tolerance)
         """Finds where the robot is in the map; None: the poses that are heard say it."""
+        self.nearby: Nearby | None = None
+        """What was heard a moment ago, for who drives the robot."""
         self._judge, self._whereabouts = Judge(array.robot), Whereabouts()
         self._unjudged: list[Frame] = []
         self._notes: dict[str, int] = {}
@@ -151,6 +154,8 @@ class LiveMap:
         self._mapper.equip(self.array.robot)
         if self.placing:
             self.placing.equip()
+        if self.nearby:
+            self.nearby.equip(self.array.robot)
         self._notes, self._judge = self.notes(), Judge(self.array.robot)
 
     @property
@@ -161,6 +166,20 @@ class LiveMap:
     def in_map(self, pose: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
         """A pose (m, m, rad) as it is told, by odometry where the robot is to be found, in the frame of the map."""
         return compose(self.placing.correction, pose) if isinstance(self.placing, Slam) else pose
+
+    def follow(self, robot: Robot) -> None:
+        """Remember from now on what is heard near the robot, for who drives it."""
+        self.nearby = Nearby(robot, self._network)
+
+    def with_near(self, grid: Grid, pose: Float[ndarray, "3"], odometry: Float[ndarray, "3"]) -> Grid:
+        """The map or a part of it, where it is followed with what was heard near the robot a moment ago.
+
+        Args:
+            grid: it.
+            pose: of the robot in the map, m, m, rad.
+            odometry: likewise, as it is told.
+        """
+        return self.nearby.laid_over(grid, pose, odometry) if self.nearby else grid
 
     def grid(self) -> Grid:
         """The map; it goes on to grow."""
@@ -253,11 +272,14 @@ class LiveMap:
         before = self.scans
         for _ in range(min(most, len(self._ready))):
             frame = self._ready.popleft()
+            heard = frame
             try:
                 frame = self.placing.place(frame) if self.placing else frame
                 if not self._fits(frame.pose):
                     continue
                 self._mapper.add([frame])
+                if self.nearby:
+                    self.nearby.add([heard])
             except UsageError:  # the map is as it was
                 self._refused["a scan whose stamp, pose or mounts cannot be"] += 1
                 continue

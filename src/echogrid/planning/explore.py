@@ -11,9 +11,11 @@ from scipy import ndimage
 
 from echogrid.errors import UsageError
 from echogrid.frame import Frame
+from echogrid.geometry import transform
 from echogrid.grid import FREE_THRESH, Grid
 from echogrid.mapping.mapper import Mapper
 from echogrid.planning.explorer import Explorer
+from echogrid.planning.placing import Found, Given
 from echogrid.robot import Robot
 from echogrid.simulation.acoustics import Physics
 from echogrid.simulation.vehicle import Vehicle
@@ -26,6 +28,9 @@ MOST_S = 3 * 3600.0
 """No exploration takes longer, in the robot's time."""
 
 SEEN_SHARES = (0.9, 0.95, 0.99)
+
+_SAME = np.zeros(3)
+"""A map that lies where the world does."""
 
 _CELL_M, _SPARE_M = 0.05, 0.1
 """Of the floor that is asked after; room beside the footprint in the places that count as reachable."""
@@ -64,10 +69,10 @@ class Reachable:
             )
         return Reachable(middles[off <= robot.footprint_radius_m])
 
-    def seen(self, grid: Grid) -> float:
-        """Share of it that a map knows to be free."""
+    def seen(self, grid: Grid, T_map_world: Float[ndarray, "3"] = _SAME) -> float:
+        """Share of it that a map, which may lie elsewhere than the world, knows to be free."""
         free = grid.observed & (grid.probability() < FREE_THRESH)
-        index = grid.index_of(self.points)
+        index = grid.index_of(transform(T_map_world, self.points))
         inside = np.all((index >= 0) & (index < grid.shape), axis=1)
         return float(np.sum(free[tuple(index[inside].T)]) / len(self.points))
 
@@ -77,7 +82,9 @@ class Explored:
     """What came of an exploration."""
 
     frames: list[Frame]
-    """The log: as it was mapped, a frame a tick."""
+    """The log, a frame a tick: true poses, and those of the odometry."""
+    placed: list[Frame]
+    """Those that are in the map, with the poses by which it was made."""
     grid: Grid
     end: str
     """Why it ended."""
@@ -136,8 +143,10 @@ class Exploration:
     """m, m, rad."""
     seed: int = 0
     physics: Physics = field(default_factory=Physics)
-    mapper: Mapper | None = None
-    """Of its map; None: by the default model."""
+    mapper: Callable[[Robot], Mapper] = Mapper
+    """Makes an empty map."""
+    slam: bool = False
+    """Whether poses are found by odometry and ranges; else the true ones are given."""
     explorer: Explorer | None = None
     """What decides; None: as it comes."""
     on_frame: Callable[[Frame], object] = lambda _: None
@@ -154,32 +163,35 @@ class Exploration:
         """
         reachable = Reachable.of(self.world, self.robot, self.start[:2])
         vehicle = Vehicle(self.world, self.robot, self.start, self.seed, self.physics)
-        mapper = self.mapper or Mapper(self.robot)
         explorer = self.explorer or Explorer(self.robot)
+        placing = Found(self.robot, self.mapper) if self.slam else Given(self.mapper(self.robot))
         frames: list[Frame] = []
         seen, took = [], []
         while explorer.state != "done" and vehicle.time_s < MOST_S:
-            bumps = vehicle.bumps
+            bumps, made = vehicle.bumps, placing.made
             heard = vehicle.go_on(CONTROL_TICKS)
-            mapper.add(heard)
             frames += heard
-            for frame in heard:
+            for frame in placing.add(heard):
                 self.on_frame(frame)
+            if placing.made > made:
+                explorer.path = None  # by the map as it is now
             if vehicle.bumps > bumps:
-                explorer.bumped(vehicle.pose)
+                explorer.bumped(placing.pose)
             if explorer.due(vehicle.time_s):
                 begin = time.perf_counter()
-                grid = mapper.grid()
-                explorer.think(grid, vehicle.pose, vehicle.time_s)
+                grid = placing.mapper.grid()
+                explorer.think(placing.with_near(grid), placing.pose, vehicle.time_s)
                 took.append(time.perf_counter() - begin)
-                seen.append((vehicle.way_m, vehicle.time_s, reachable.seen(grid)))
+                seen.append((vehicle.way_m, vehicle.time_s, reachable.seen(grid, placing.off())))
                 self.on_map(grid)
-            x, y, _ = vehicle.pose.tolist()
-            vehicle.command(*explorer.drive(mapper.around(x, y, explorer.around_m()), vehicle.pose))
-        grid = mapper.grid()
-        seen.append((vehicle.way_m, vehicle.time_s, reachable.seen(grid)))
+            x, y, _ = placing.pose.tolist()
+            around = placing.mapper.around(x, y, explorer.around_m())
+            vehicle.command(*explorer.drive(placing.with_near(around), placing.pose))
+        placed, off = placing.end(), placing.off()
+        grid = placing.mapper.grid()
+        seen.append((vehicle.way_m, vehicle.time_s, reachable.seen(grid, off)))
         return Explored(
-            frames, grid, explorer.end or "the time was up", float(np.linalg.norm(vehicle.pose[:2] - self.start[:2])),
-            vehicle.way_m, vehicle.time_s, vehicle.bumps, vehicle.least_m, np.array(seen), np.array(took),
-            len(explorer.left),
+            frames, placed, grid, explorer.end or "the time was up",
+            float(np.linalg.norm(vehicle.pose[:2] - self.start[:2])), vehicle.way_m, vehicle.time_s, vehicle.bumps,
+            vehicle.least_m, np.array(seen), np.array(took), len(explorer.left),
         )  # fmt: skip

@@ -1,0 +1,87 @@
+"""What was heard a moment ago, where odometry says that it is: near the robot that holds where the map is wrong."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from echogrid.frame import Frame
+from echogrid.geometry import compose, inverse, transform
+from echogrid.grid import OCCUPIED_THRESH, Grid, logit
+from echogrid.mapping.mapper import Mapper
+from echogrid.mapping.registry import DEFAULT
+from echogrid.models.model import Model
+from echogrid.position.motion import jumped
+from echogrid.robot import Robot
+
+HALF_LIFE_S = 10.0
+"""What was heard so long ago counts half: by then a robot has come 2 or 3 m, on which odometry errs by some cm."""
+
+REACH_M = 0.6
+"""What is nearer than this to the footprint is looked at: farther off posts are heard all over their door."""
+
+OCCUPIED = 3.0
+"""Log-odds that what is occupied near the robot has in the map at least."""
+
+
+class Nearby:
+    """A map that forgets, of what a robot hears that finds its poses.
+
+    Poses that are found are put right now and then, by some centimetres against the walls that were mapped before,
+    and several visits lie beside each other in the map: by more, at times, than there is beside a robot in a door.
+    The way since a post was heard last is short, and odometry knows it to some centimetres.
+    """
+
+    def __init__(self, robot: Robot, model: Model | str = DEFAULT):
+        """Nothing heard.
+
+        Args:
+            robot: its sonars and its footprint.
+            model: the sensor model, one that can forget.
+        """
+        self._robot = robot
+        self._make = lambda: Mapper(self._robot, model, half_life=HALF_LIFE_S)
+        self._mapper, self._last = self._make(), None
+
+    def add(self, frames: Sequence[Frame]) -> None:
+        """Take scans, posed by odometry; where that jumps, or time goes back, all before is forgotten.
+
+        Raises:
+            UsageError: as of ``Mapper.add``.
+        """
+        for frame in frames:
+            if self._last is not None:
+                step, took = compose(inverse(self._last.pose), frame.pose), frame.stamp - self._last.stamp
+                if took < 0 or jumped(step, took):
+                    self._mapper = self._make()
+            self._last = frame
+            self._mapper.add([frame])
+
+    def equip(self, robot: Robot) -> None:
+        """Go on with an array that has grown."""
+        self._robot = robot
+        self._mapper.equip(robot)
+
+    def laid_over(self, grid: Grid, pose: Float[ndarray, "3"], odometry: Float[ndarray, "3"]) -> Grid:
+        """A map with what is occupied near the robot in it, a copy.
+
+        Args:
+            grid: the map.
+            pose: of the robot in it, m, m, rad.
+            odometry: likewise, by odometry.
+        """
+        x, y, _ = odometry.tolist()
+        reach = self._robot.footprint_radius_m + REACH_M
+        near = self._mapper.around(x, y, 2 * reach)
+        places = near.centre_of(np.argwhere(near.observed & (near.log_odds > logit(OCCUPIED_THRESH))))
+        places = places[np.hypot(*(places - odometry[:2]).T) < reach]
+        row, col = grid.index_of(transform(compose(pose, inverse(odometry)), places)).T
+        rows, cols = grid.shape
+        inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+        cells = row[inside], col[inside]
+        log_odds, observed = grid.log_odds.copy(), grid.observed.copy()
+        log_odds[cells] = np.maximum(log_odds[cells], OCCUPIED)
+        observed[cells] = True
+        return replace(grid, log_odds=log_odds, observed=observed)
