@@ -50,9 +50,6 @@ def test_poses_that_it_finds_are_written_beside_those_of_its_wheels(run, place):
     off, drift = (np.max(np.hypot(*(poses - true)[:, :2].T)) for poses in (found, wheels))
     assert 0 < off < 0.15
     assert off < drift + 0.05  # in so small a room nothing has drifted far
-    # Explored anew with poses given, the folder keeps no poses found.
-    _, _, noted = run("explore", "box.yaml", "--robot", "b21", "--seed", "2", "--out", out)
-    assert "note: removed trajectory.tum, odometry.tum" in noted
 
 
 @pytest.mark.parametrize(
