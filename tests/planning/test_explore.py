@@ -1,5 +1,7 @@
 """A robot explores simulated rooms whose walls mirror the sound."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,6 +82,11 @@ def test_seen_is_the_share_that_the_map_calls_free():
 def test_where_it_cannot_begin_is_said_before_it_drives(where, start, line):
     with pytest.raises(UsageError, match=line):
         Exploration(where, B21, np.array([*start, 0.0])).run()
+
+
+def test_poses_are_found_by_four_sonars_at_least():
+    with pytest.raises(UsageError, match="robot b21: found 3 sonars, expected at least 4 to find poses by"):
+        Exploration(ROOMS, replace(B21, mounts=B21.mounts[:3]), START, slam=True).run()
 
 
 @pytest.mark.slow

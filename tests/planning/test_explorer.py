@@ -94,6 +94,18 @@ def test_a_way_that_shuts_is_not_driven_into():
     assert drive.least > -0.035
 
 
+def test_a_way_home_that_is_shut_is_told():
+    drive = Drive(two_rooms(), pose=(2.0, 2.5, 0.0))
+    drive.explorer._home = np.array([1.0, 1.0])
+    solid = drive.solid.copy()
+    solid[:, 79:81] = True
+    drive.solid, drive.pose = solid, np.array([6.0, 2.5, 0.0])
+    drive.run()
+    assert drive.explorer.end == "something is in the way back"
+    assert drive.pose[0] > 4.2
+    assert drive.least > -0.035
+
+
 @pytest.mark.parametrize("turn", [0.0, 2.0])
 def test_a_robot_shut_in_on_all_sides_ends_where_it_is(turn):
     solid = shut()

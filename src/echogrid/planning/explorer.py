@@ -55,6 +55,9 @@ BLOCKS = 4
 PAST_M = 0.3
 """A robot that has come so far since it had to stop is past that."""
 
+LOOKS_BACK = 2
+"""A robot to which the way home looks shut looks round so often before it gives up."""
+
 STUCK_M, STUCK_S = 40.0, 240.0
 """A robot that has seen nothing new for such a way, or such a time, has seen what it can."""
 
@@ -114,7 +117,7 @@ class Explorer:
         self._looks: list[Float[ndarray, "2"]] = []
         self._free_m2 = 0.0
         self._view: _View | None = None
-        self._level = self._least = self._lowest = 0
+        self._level = self._least = self._lowest = self._looks_back = 0
         self._way_m, self._news = 0.0, (0.0, 0.0, 0.0)
 
     def around_m(self) -> float:
@@ -268,9 +271,8 @@ class Explorer:
             self._set_aside(self.goal)
         elif self._blocked >= BLOCKS and self.state == "returning" and self._least < len(LEVELS) - 1:
             self._least, self._blocked = self._least + 1, 0
-        elif self._blocked >= BLOCKS and self.state == "returning" and self._home is not None:
-            off = float(np.linalg.norm(self._home - self._last)) if self._last is not None else np.inf
-            self._finish(self.end or _KNOWN if off < SAME_M else "something is in the way back")
+        elif self._blocked >= BLOCKS and self.state == "returning":
+            self._end_where_it_is()
         self.path = None
         return 0.0, 0.0
 
@@ -278,7 +280,11 @@ class Explorer:
         """The robot is where its way leads."""
         self.path = None
         if self.state == "returning":
-            self._finish(self.end or _KNOWN)
+            if self._is_home() or self._looks_back >= LOOKS_BACK:
+                self._end_where_it_is()
+            else:  # it stands as near as there is a way, and looks for one
+                self._looks_back += 1
+                self._turn = 2 * np.pi if self.turns else 0.0
         elif self.goal is not None and self._last is not None:
             if np.linalg.norm(self._last - self.goal.place) > SAME_M:
                 return  # it has come to a place to come from
@@ -293,6 +299,14 @@ class Explorer:
                     return
             self._looks.append(self._last)
             self._free_m2 = free
+
+    def _is_home(self) -> bool:
+        if self._home is None or self._last is None:
+            return False
+        return float(np.linalg.norm(self._home - self._last)) < SAME_M
+
+    def _end_where_it_is(self) -> None:
+        self._finish(self.end or _KNOWN if self._is_home() else "something is in the way back")
 
     def _free_near(self, frontier: Frontier) -> float:
         """Floor that is known to be free near a frontier, m2."""

@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from echogrid.frame import Frame
 from echogrid.geometry import compose, inverse, transform
-from echogrid.grid import OCCUPIED_THRESH, Grid, logit
+from echogrid.grid import Grid, logit
 from echogrid.mapping.mapper import Mapper
 from echogrid.mapping.registry import DEFAULT
 from echogrid.models.model import Model
@@ -19,8 +19,9 @@ from echogrid.robot import Robot
 HALF_LIFE_S = 10.0
 """What was heard so long ago counts half: by then a robot has come 2 or 3 m, on which odometry errs by some cm."""
 
-REACH_M = 0.6
-"""What is nearer than this to the footprint is looked at: farther off posts are heard all over their door."""
+REACH_M, SURE_P = 0.6, 0.9
+"""What is occupied with more than this, so near to the footprint, is there: what is less sure or farther
+off may be a door, whose posts are heard all over it."""
 
 OCCUPIED = 3.0
 """Log-odds that what is occupied near the robot has in the map at least."""
@@ -65,7 +66,7 @@ class Nearby:
         self._mapper.equip(robot)
 
     def laid_over(self, grid: Grid, pose: Float[ndarray, "3"], odometry: Float[ndarray, "3"]) -> Grid:
-        """A map with what is occupied near the robot in it, a copy.
+        """A map with what is surely near the robot in it, a copy.
 
         Args:
             grid: the map.
@@ -75,7 +76,7 @@ class Nearby:
         x, y, _ = odometry.tolist()
         reach = self._robot.footprint_radius_m + REACH_M
         near = self._mapper.around(x, y, 2 * reach)
-        places = near.centre_of(np.argwhere(near.observed & (near.log_odds > logit(OCCUPIED_THRESH))))
+        places = near.centre_of(np.argwhere(near.observed & (near.log_odds > logit(SURE_P))))
         places = places[np.hypot(*(places - odometry[:2]).T) < reach]
         row, col = grid.index_of(transform(compose(pose, inverse(odometry)), places)).T
         rows, cols = grid.shape

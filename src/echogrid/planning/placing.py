@@ -8,12 +8,14 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from echogrid.errors import UsageError
 from echogrid.frame import Frame
 from echogrid.geometry import compose, inverse, wrap
 from echogrid.grid import Grid
 from echogrid.mapping.mapper import Mapper
 from echogrid.metrics import laid_onto
 from echogrid.planning.nearby import Nearby
+from echogrid.position.corrected import LEAST_SONARS
 from echogrid.position.online import OnlineSlam
 from echogrid.position.remapping import MOVED_M, MOVED_RAD
 from echogrid.robot import Robot
@@ -83,7 +85,13 @@ class Found(Placing):
         Args:
             robot: its sonars.
             make: makes an empty map.
+
+        Raises:
+            UsageError: it has too few sonars.
         """
+        if robot.sonars < LEAST_SONARS:
+            found = f"{robot.sonars} {'sonar' if robot.sonars == 1 else 'sonars'}"
+            raise UsageError(f"robot {robot.name}: found {found}, expected at least {LEAST_SONARS} to find poses by")
         self._robot, self._make, self.mapper = robot, make, make(robot)
         self._finder, self._nearby = OnlineSlam(robot), Nearby(robot)
         self.pose = self._odometry = np.zeros(3)
