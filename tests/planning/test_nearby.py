@@ -13,7 +13,7 @@ from echogrid.simulation.vehicle import Vehicle
 from echogrid.simulation.world import polyline
 
 B21 = Robot.load("b21")
-POST = np.array([2.0, 1.4])
+POST = np.array([2.0, 1.3])
 WALLS = polyline([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0]], closed=True)
 ROOM = World("room", WALLS, np.full(len(WALLS), 2e-3), np.array([[*POST, 0.05]]))
 T_MAP_ODOM = np.array([1.0, -0.5, 0.6])

@@ -19,9 +19,9 @@ from echogrid.robot import Robot
 HALF_LIFE_S = 10.0
 """What was heard so long ago counts half: by then a robot has come 2 or 3 m, on which odometry errs by some cm."""
 
-REACH_M, SURE_P = 0.6, 0.9
-"""What is occupied with more than this, so near to the footprint, is there: what is less sure or farther
-off may be a door, whose posts are heard all over it."""
+REACH_M, SURE_P = 0.3, 0.9
+"""What is occupied with more than this, so near to the footprint, is there: on such a way a robot stops. What is less
+sure or farther off may be a door, whose posts are heard all over it."""
 
 OCCUPIED = 3.0
 """Log-odds that what is occupied near the robot has in the map at least."""
