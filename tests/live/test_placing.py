@@ -12,6 +12,7 @@ from echogrid.live.hearing import Heard
 from echogrid.live.live_map import Picture, Settings
 from echogrid.live.placing import Correction, RobotPose
 from echogrid.live.session import Live
+from echogrid.position.contradictions import Compared
 from echogrid.robot import parse_robot
 from live_drive import MOUNTS, NETWORK, START_S, Drive, header, tf, transform, turned, xyz
 
@@ -123,6 +124,19 @@ def test_odometry_that_starts_anew_is_told_and_the_drive_goes_on():
     np.testing.assert_allclose(before, 0, atol=0.1)
     np.testing.assert_allclose(after, [3.5, 0, 0], atol=0.2)
     assert sum("the odometry jumps or starts anew: the drive goes on" in said for said in robot.notices) == 1
+
+
+def test_what_contradicts_itself_is_told_once(monkeypatch):
+    robot = slam()
+    robot.go(WAY[:40])
+    placing = robot.live._map.placing
+    graph = placing._finder.graph
+    many = graph._replace(poses=WAY[:90:3], together=Compared(*np.full((2, 30), 10)))
+    assert not list(placing.notices())
+    monkeypatch.setattr(type(placing._finder), "graph", property(lambda _: many))
+    (told,) = placing.notices()
+    assert "walls were seen where at other times there was free floor: walls are double there" in told
+    assert not list(placing.notices())
 
 
 def test_a_drive_that_is_played_again_makes_a_new_map():
