@@ -5,6 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from echogrid.grid import Grid, logit
+from echogrid.planning.explorer import Explorer
 from plan_drive import B21, FAR, STEP_S, WIDE, Drive, shut, two_rooms
 
 
@@ -62,7 +64,7 @@ def test_what_it_bumps_into_is_remembered_and_kept_away_from():
     drive.look()
     drive.explorer._turn = 0.0
     drive.explorer.think(drive.grid, drive.pose, 0.0)
-    drive.explorer.bumped(drive.pose)
+    drive.explorer.bumped(drive.grid, drive.pose)
     touched = drive.pose[:2] + np.array([B21.footprint_radius_m, 0])
     assert drive.explorer.drive(drive.grid, drive.pose)[0] < 0
     drive.run()
@@ -71,6 +73,20 @@ def test_what_it_bumps_into_is_remembered_and_kept_away_from():
     assert cell is not None
     assert floor.occupied[cell]
     assert drive.seen() > 0.98
+
+
+@pytest.mark.parametrize(("aside_m", "touched"), [(0.3, True), (-0.3, True), (0.6, False)])
+def test_what_is_touched_is_where_the_map_is_least_sure(aside_m, touched):
+    """A door whose post no sonar hears: the post is remembered, and not the middle of the way."""
+    free = np.full((60, 60), logit(0.02), dtype=np.float32)
+    grid = Grid(free, np.ones_like(free, dtype=bool), 0.05, (0.0, 0.0))
+    post = grid.index_of(np.array([1.5, 1.5 + aside_m]))
+    grid.log_odds[tuple(post)] = logit(0.4)
+    explorer = Explorer(B21)
+    explorer.bumped(grid, np.array([1.5, 1.5, 0.0]))
+    (place,) = explorer._bumps
+    expected = [0.0, np.sign(aside_m)] if touched else [1.0, 0.0]
+    np.testing.assert_allclose(place - 1.5, B21.footprint_radius_m * np.array(expected), atol=0.06)
 
 
 def test_a_way_that_shuts_is_not_driven_into():

@@ -260,7 +260,7 @@ class Driving:
                 self.notices.append(
                     f"the robot is stuck at ({x:.2f}, {y:.2f}) m: it backs off, and keeps away from there"
                 )
-                explorer.bumped(pose)
+                explorer.bumped(around, pose)
             else:
                 self._say_once("the robot does not move as it is told: who hears the commands, and is it allowed to?")
         return [velocity]

@@ -176,7 +176,7 @@ class Exploration:
             if placing.made > made:
                 explorer.path = None  # by the map as it is now
             if vehicle.bumps > bumps:
-                explorer.bumped(placing.pose)
+                explorer.bumped(placing.mapper.around(*placing.pose[:2].tolist(), explorer.around_m()), placing.pose)
             if explorer.due(vehicle.time_s):
                 begin = time.perf_counter()
                 grid = placing.mapper.grid()

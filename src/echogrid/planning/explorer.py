@@ -77,6 +77,10 @@ through a door it goes in the middle."""
 RIM_M = 0.6
 """So much unknown ground is thought of round the map."""
 
+FRONT_RAD, TOUCHED_M, AHEAD = np.deg2rad(np.arange(-90.0, 91.0, 10.0)), 0.12, 0.05
+"""Where a robot touches what it drives against, from forward, and so far beyond its footprint the map is looked up;
+what probability a radian aside is worth, where one place is as likely as the other."""
+
 BACK_M = 0.15
 """Backwards from what was touched."""
 
@@ -130,15 +134,21 @@ class Explorer:
             return False
         return self.path is None or stamp - self._thought_s >= THINK_S
 
-    def bumped(self, pose: Float[ndarray, "3"], bearing: float = 0.0) -> None:
-        """Something was touched that no map shows: remember it, and back off.
+    def bumped(self, around: Grid, pose: Float[ndarray, "3"]) -> None:
+        """Something was touched that the map does not show: remember it, and back off.
+
+        Bumpers and wheels that stall do not tell where: it is taken to be where the map is least sure that the front
+        of the footprint is on free floor. In a door that is a post, and not the middle of the way.
 
         Args:
+            around: the map, ``around_m`` round the robot.
             pose: of the robot, m, m, rad.
-            bearing: of what was touched, from forward, rad.
         """
-        angle = pose[2] + bearing
-        self._bumps.append(pose[:2] + self.robot.footprint_radius_m * np.array([np.cos(angle), np.sin(angle)]))
+        angle = (pose[2] + FRONT_RAD)[:, None]
+        rim = self.robot.footprint_radius_m + np.arange(0.0, TOUCHED_M, around.resolution)
+        points = pose[:2] + np.stack([rim * np.cos(angle), rim * np.sin(angle)], axis=-1)
+        taken = around.probability_at(points.reshape(-1, 2)).reshape(points.shape[:2]).max(axis=1)
+        self._bumps.append(points[int(np.argmax(taken - AHEAD * np.abs(FRONT_RAD))), 0])
         self._back_m, self.path, self.goal, self._turn = BACK_M, None, None, 0.0
 
     def think(self, grid: Grid, pose: Float[ndarray, "3"], stamp: float) -> None:
