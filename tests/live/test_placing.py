@@ -131,7 +131,7 @@ def test_what_contradicts_itself_is_told_once(monkeypatch):
     robot.go(WAY[:40])
     placing = robot.live._map.placing
     graph = placing._finder.graph
-    many = graph._replace(poses=WAY[:90:3], together=Compared(*np.full((2, 30), 10)))
+    many = graph._replace(poses=WAY[:90:3], together=Compared(*np.full((3, 30), 10)))
     assert not list(placing.notices())
     monkeypatch.setattr(type(placing._finder), "graph", property(lambda _: many))
     (told,) = placing.notices()

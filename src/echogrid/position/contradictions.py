@@ -21,9 +21,10 @@ NEAR, TWICE = 2, 2
 """A wall that another piece saw as well lies no farther than so many cells off; it contradicts what so many others
 saw, to whom it is free floor."""
 
-TOGETHER, LEAST_CELLS, MOST_SHARE = 5, 30, 0.3
-"""Pieces that are judged together, the cells of theirs that others saw too, at least, and the share of them that may
-contradict the others: mirrors and gaps make some."""
+TOGETHER, LEAST_CELLS, MOST_SHARE, JOINED = 5, 30, 0.3, 0.6
+"""Pieces that are judged together, the cells of theirs that others saw too, at least, the share of them that may
+contradict the others (mirrors and gaps make some), and the share of all walls that others saw too where pieces lie on
+them: of a corridor beside another one wall may be the other's."""
 
 
 class Cells(NamedTuple):
@@ -52,10 +53,12 @@ def cells(field: Field) -> Cells:
 class Compared(NamedTuple):
     """How the walls that each piece of a drive saw lie to what others saw."""
 
+    seen: Int[ndarray, "pieces"]
+    """Cells of wall."""
     alike: Int[ndarray, "pieces"]
-    """Cells of wall where others saw a wall too."""
+    """Those of them where others saw a wall too."""
     against: Int[ndarray, "pieces"]
-    """Cells of wall where others saw free floor, and none a wall."""
+    """Those where others saw free floor, and none a wall."""
 
     @property
     def balance(self) -> int:
@@ -65,13 +68,14 @@ class Compared(NamedTuple):
     @property
     def doubtful(self) -> Bool[ndarray, "pieces"]:
         """Pieces that contradict the others."""
-        alike, against = self._with_neighbours()
+        _, alike, against = self._with_neighbours()
         return (alike + against > LEAST_CELLS) & (against > MOST_SHARE * (alike + against))
 
     @property
     def joined(self) -> Bool[ndarray, "pieces"]:
-        """Pieces that saw walls that others saw, and do not contradict them."""
-        return (self._with_neighbours()[0] > LEAST_CELLS) & ~self.doubtful
+        """Pieces that saw the walls that others saw, and do not contradict them."""
+        seen, alike, _ = self._with_neighbours()
+        return (alike > LEAST_CELLS) & (alike > JOINED * seen) & ~self.doubtful
 
     def _with_neighbours(self) -> list[Int[ndarray, "pieces"]]:
         whole = np.pad(np.stack(self), ((0, 0), (TOGETHER // 2, TOGETHER // 2)))
@@ -88,7 +92,7 @@ def compared(poses: Float[ndarray, "pieces 3"], seen: Sequence[Cells], apart: in
     """
     wall, free = ([_laid(pose, each[i]) for pose, each in zip(poses, seen, strict=True)] for i in (0, 1))
     if not sum(map(len, wall)):
-        return Compared(*np.zeros((2, len(seen)), dtype=int))
+        return Compared(*np.zeros((3, len(seen)), dtype=int))
     size = seen[0].size_m
     low, high = (by([by(each, axis=0) for each in (*wall, *free) if len(each)], axis=0) for by in (np.min, np.max))
     low, rows = low - (NEAR + 1) * size, int((high[1] - low[1]) / size) + 2 * NEAR + 4
@@ -121,7 +125,7 @@ def compared(poses: Float[ndarray, "pieces 3"], seen: Sequence[Cells], apart: in
                 add(k - apart, 1)
         near = (count[0, around[own[k]]] > 0).any(axis=1)
         alike[k], against[k] = near.sum(), ((count[1, own[k]] >= TWICE) & ~near).sum()
-    return Compared(alike, against)
+    return Compared(np.array([len(each) for each in own]), alike, against)
 
 
 def _laid(pose: Float[ndarray, "3"], points: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:

@@ -14,7 +14,6 @@ from echogrid.geometry import wrap
 from echogrid.mapping.intake import check_robot, cleaned, fitting
 from echogrid.position import motion
 from echogrid.position.contradictions import Compared
-from echogrid.position.drive import APART
 from echogrid.position.odometry import mended
 from echogrid.position.slam import Found
 from echogrid.position.slam import slam as found_by
@@ -29,9 +28,8 @@ LEAST_M = 0.5
 UNHEARD_M = 3.0
 """A way without an echo that is longer is told."""
 
-BESIDE_M, TIED_NODES, LOOSE_M = 3.0, 8, 3.0
-"""Parts of a drive that are so near, though far apart in time, see the same walls: if no loop begins or ends within
-so many nodes of one, nor a wall that it saw was seen from another, for longer than the last, it is told."""
+LOOSE_M = 3.0
+"""A way along which the drive is loose or at odds with itself is told if it is longer."""
 
 LONE_M = 30.0
 """In a drive that is longer it is told if no place was seen twice."""
@@ -164,16 +162,7 @@ def _alone(found: Found) -> dict[str, int]:
 
 def _loose(found: Found) -> dict[str, int]:
     """A note on parts of the drive that lie beside others and that nothing ties to them."""
-    nodes = found.poses[found.nodes]
-    number = np.arange(len(nodes))
-    tied = found.together.joined
-    for node in np.unique(np.array(found.loops, dtype=int)):
-        tied[max(node - TIED_NODES, 0) : node + TIED_NODES + 1] = True
-    beside = np.zeros(len(nodes), dtype=bool)
-    for node in np.flatnonzero(~tied):
-        near = np.hypot(*(nodes[:, :2] - nodes[node, :2]).T) < BESIDE_M
-        beside[node] = np.any(near & (np.abs(number - node) >= APART))
-    if not (where := _ways(nodes, beside)) or not found.loops:
+    if not (where := _ways(found.poses[found.nodes], found.loose)) or not found.loops:
         return {}
     what = f"{where[0]} of the drive lie beside another part of it and nothing ties them"
     return {f"{what}: walls may be double {where[1]}": 0}

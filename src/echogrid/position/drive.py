@@ -5,8 +5,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
+from scipy import ndimage
 
 from echogrid.frame import Frame
 from echogrid.geometry import compose, inverse, wrap
@@ -48,6 +49,13 @@ DOUBTED = np.array([0.4, 0.4, np.deg2rad(6.0)])
 AMISS, APART, MOST_ROUNDS = np.array([1.0, 1.0, np.deg2rad(8.0)]), 20, 3
 """Standard deviations (m, m, rad) that a pose has besides where what was seen contradicts what other pieces saw, so
 many before or after it at least, and how often that is looked for."""
+
+BESIDE_M, TIED = 3.0, 8
+"""Pieces that are so near to others, though far apart in time, see the same walls; they are loose if no loop begins
+or ends within so many pieces of one, nor its walls were seen by the others."""
+
+UNFAIR = 0.0
+"""In place of ``matching.FAIR`` where a part of a drive must lie among what others saw."""
 
 KERNEL = 4.0
 """Standard deviations beyond which a match counts less."""
@@ -184,8 +192,11 @@ class Drive:
             if self._solution is None or not told.doubtful.any():
                 return
             before = self.poses.copy(), self.parameters, len(self.matches)
-            for k in np.flatnonzero(told.doubtful)[::LOOP_EVERY].tolist():
+            fair, self._fair = self._fair, UNFAIR
+            for k in self._suspects(told)[::LOOP_EVERY].tolist():
                 self._close_loops(k, AMISS)
+                self._close_loops(k, AMISS, later=True)
+            self._fair = fair
             if len(self.matches) == before[2]:
                 return
             self._solve(self.count, 20)
@@ -195,6 +206,21 @@ class Drive:
                 self._correct()
                 self._solve(self.count)
                 return
+
+    def _suspects(self, told: Compared) -> Int[ndarray, "suspects"]:
+        """Pieces that contradict others, and the loose parts of the drive that such are in."""
+        part, _ = ndimage.label(self.loose(told) | told.doubtful)
+        return np.flatnonzero(np.isin(part, part[told.doubtful]))
+
+    def loose(self, told: Compared) -> Bool[ndarray, "pieces"]:
+        """Pieces that lie beside others and that nothing ties to them."""
+        loose, number = ~told.joined, np.arange(self.count)
+        for k in {k for edge in self.matches if edge.loop for k in (edge.first, edge.second)}:
+            loose[max(k - TIED, 0) : k + TIED + 1] = False
+        for k in np.flatnonzero(loose):
+            near = np.hypot(*(self.poses[:, :2] - self.poses[k, :2]).T) < BESIDE_M
+            loose[k] = np.any(near & (np.abs(number - k) >= APART))
+        return loose
 
     def compared(self) -> Compared:
         """How what was seen at different times lies together."""
@@ -374,27 +400,31 @@ class Drive:
         patch.add(range(begin, k), self.poses)
         return to, patch
 
-    def _close_loops(self, k: int, amiss: Float[ndarray, "3"] | None = None) -> None:
+    def _close_loops(self, k: int, amiss: Float[ndarray, "3"] | None = None, later: bool = False) -> None:
         """Match a piece to the maps of places where the robot may have been long before.
 
         Args:
             k: the piece.
             amiss: standard deviations that its pose has beside those that the graph tells, m, m, rad.
+            later: match those that came long after to it instead.
         """
-        distance = np.hypot(*(self.poses[: max(0, k - self.loop_gap), :2] - self.poses[k, :2]).T)
+        others = np.arange(k + self.loop_gap + 1, self.count) if later else np.arange(max(0, k - self.loop_gap))
+        distance = np.hypot(*(self.poses[others, :2] - self.poses[k, :2]).T)
         self._sought.clear()
         tried: list[int] = []
         too_far: list[int] = []
-        for j in np.argsort(distance).tolist():
-            if len(tried) == LOOPS or distance[j] > LOOP_REACH_M:
+        for near in np.argsort(distance).tolist():
+            if len(tried) == LOOPS or distance[near] > LOOP_REACH_M:
                 break
+            j = int(others[near])
             # Those near one that is too far off are farther off and known no worse.
             if any(abs(j - other) < BEFORE for other in tried) or any(abs(j - other) < ANCHOR for other in too_far):
                 continue
-            covariance = self._relative(j, k) + (0.0 if amiss is None else np.diag(amiss**2))
-            if distance[j] <= 1.5 + 2 * np.sqrt(np.max(np.linalg.eigvalsh(covariance[:2, :2]))):
+            first, second = min(j, k), max(j, k)
+            covariance = self._relative(first, second) + (0.0 if amiss is None else np.diag(amiss**2))
+            if distance[near] <= 1.5 + 2 * np.sqrt(np.max(np.linalg.eigvalsh(covariance[:2, :2]))):
                 tried.append(j)
-                self._close_loop(j, k, covariance)
+                self._close_loop(first, second, covariance)
             else:
                 too_far.append(j)
 

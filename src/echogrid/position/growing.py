@@ -71,7 +71,7 @@ class Growing(Drive):
         self._kept, self._taken = list(frames), len(frames)
         # Variances of odometry that jumped, or past what is forgotten.
         self._merged: dict[int, Float[ndarray, "3"]] = {}
-        self._together, self._tried = Compared(*np.zeros((2, 1), dtype=int)), 0
+        self._together, self._tried = Compared(*np.zeros((3, 1), dtype=int)), 0
         super().__init__(self._kept, np.array([frame.pose for frame in frames], dtype=float), robot)
         self._first = self._kept[self.cut[0].middle].pose
         for k in range(1, self.count):

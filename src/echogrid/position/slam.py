@@ -7,25 +7,21 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from echogrid.frame import Frame
 from echogrid.geometry import compose, inverse
 from echogrid.position.contradictions import Compared
-from echogrid.position.drive import Drive
+from echogrid.position.drive import UNFAIR, Drive
 from echogrid.position.graph import Edges
 from echogrid.position.pieces import spread_over
 from echogrid.robot import Robot
 
-UNFAIR = 0.0
-"""A drive that may be wrong is placed once more with this in place of ``matching.FAIR`` for loops that are looked for
-widely; all matches are made again with what is known at the end, and the drive is kept whose places lie together
-best."""
-
 NEARLY, SHARPER, MOST_AGAIN = 0.8, 1.1, 2
-"""Matches of a drive are made again if it lies together nearly as well as the other. The one that is kept is made
-again as long as its places lie together so much better each time, so often at most."""
+"""A drive that may be wrong is placed once more with UNFAIR for loops that are looked for widely, and that is kept
+whose places lie together best. Matches of a drive are made again if it lies together nearly as well as the other, and
+those of the one that is kept as long as its places lie together so much better each time, so often at most."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +43,8 @@ class Found:
     """What corrects the odometry: of its scale, of its heading (rad/m) and of its turning."""
     together: Compared
     """How what was seen round each node lies to what was seen at other times."""
+    loose: Bool[ndarray, "nodes"]
+    """Nodes that lie beside others and that nothing ties to them."""
 
 
 def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], object] | None = None) -> Found:
@@ -68,8 +66,11 @@ def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], o
     poses = spread_over(drive.cut, drive.poses, drive.by_odometry)
     poses = compose(odometry[0], compose(inverse(poses[0]), poses))
     loops = [(edge.first, edge.second) for edge in drive.matches if edge.loop]
+    together = drive.compared()
     nodes = np.array([piece.middle for piece in drive.cut])
-    return Found(poses, odometry, nodes, drive.edges(drive.count), loops, drive.drift, drive.compared())
+    return Found(
+        poses, odometry, nodes, drive.edges(drive.count), loops, drive.drift, together, drive.loose(together)
+    )
 
 
 def _placed(drive: Drive, progress: Callable[[int, int], object] | None) -> Drive:
