@@ -52,6 +52,7 @@ STAYS = 20
 """So many frames in a row at the far place, and the robot is taken to be there."""
 
 LEFT_OUT = "a scan left out: its pose is where no robot can have got to"
+STARTS_ANEW = "did the odometry start anew? cut the log there in two"
 
 _WHOLE, _EVERY = 512, 8
 """After so many frames the ranges and headings of every so many-th batch alone are looked at: shares need no more."""
@@ -366,7 +367,7 @@ class Judge:
         elif motion.fast:
             what = f"the pose jumps by {way:.2f} m at {stamp:.2f} s"
             more = f" and {motion.fast - 1} times more (up to {motion.longest_m:.1f} m)" if motion.fast > 1 else ""
-            why = "did the odometry start anew? cut the log there in two"
+            why = STARTS_ANEW
             if motion.fast >= _STOPS:
                 why = "was nothing recorded from stop to stop, or are the stamps wrong?"
             notes[f"{what}{more}, faster than any robot: {why}"] = 0

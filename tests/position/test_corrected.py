@@ -99,6 +99,9 @@ def test_odometry_that_starts_anew_half_way_is_one_drive():
     anew = np.concatenate([TRUTH[:300], compose(inverse(TRUTH[300]), TRUTH[300:])])
     drive = slam(Log.of(posed(anew)), B21)
     assert trajectory_error(drive.poses, TRUTH).aligned_rms_m < 0.1
+    assert [note for note in drive.notes if "anew" in note] == [
+        note for note in drive.notes if "starts anew at 0 at 60.00 s" in note
+    ]
     assert any("starts anew at 0 at 60.00 s" in note for note in drive.notes)
 
 
@@ -191,9 +194,23 @@ def test_laps_whose_walls_contradict_each_other_are_told():
     assert odds(laps(1.0, [], alike=2, against=2)) == {}
 
 
+def test_a_robot_that_is_carried_is_told_of():
+    """Without a jump in the odometry: what it sees then stands where there was free floor."""
+    on = np.arange(len(TRUTH)) >= 300
+    carried = np.where(on[:, None], compose(TRUTH[299], compose(inverse(TRUTH[400]), TRUTH)), TRUTH)
+    frames = [replace(frame, pose=pose) for frame, pose in zip(FRAMES, carried, strict=True)]
+    drive = slam(Log.of(frames[:300] + frames[400:]), B21)
+    assert trajectory_error(drive.poses, np.delete(TRUTH, range(300, 400), axis=0)).aligned_rms_m < 0.1 or any(
+        "walls" in note or "no place was seen twice" in note for note in drive.notes
+    )
+
+
 def test_a_long_drive_without_a_loop_is_told():
     drive = laps(5.0, [])
-    assert _alone(replace(drive, poses=drive.poses * [0.5, 0.5, 1])) == {}
+    half = drive.poses * [0.5, 0.5, 1]
+    assert _alone(replace(drive, poses=half, odometry=half)) == {}
+    # What was moved far is told of in a short drive too.
+    assert _alone(replace(drive, poses=half)) != {}
     far = drive
     assert [note for note in _alone(far) if note.startswith("no place was seen twice")]
     assert _alone(replace(far, loops=[(0, 79)])) == {}

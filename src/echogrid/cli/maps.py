@@ -94,7 +94,9 @@ class Map:
         title = escaped(f"{Path(log.name).name}, {robot.name}, {model.name}")
         with made(self.out), ExitStack() as stack:  # a folder that cannot be made is found now, not after the mapping
             check_folder(self.out, [*self._besides(), *(POSE_FILES if self.slam else ())])
+            begin = time.perf_counter()
             drive = corrected(log, robot) if self.slam else None
+            finding = time.perf_counter() - begin
             log = drive.log if drive else log
             followers = list(self._followers(robot, title, drive, stack))
             mapped = self._mapped(log, robot, model, followers)
@@ -107,7 +109,7 @@ class Map:
             if drive:
                 write_poses(self.out, drive)
         drop(self.out, [*self._besides(), *(pose_files(drive) if drive else ())], log.name)
-        self._report(log, robot, named, mapped)
+        self._report(log, robot, named, mapped, f", {finding:.1f} s for its poses" if drive else "")
         if drive:
             report(self.out, drive)
         if self.rerun:
@@ -143,14 +145,14 @@ class Map:
         settings |= {"resolution": mapped.grid.resolution, "notes": dict(log.notes)}
         return settings | (pose_settings(drive) if drive else {}) | model.told()
 
-    def _report(self, log: Log, robot: Robot, named: bool, mapped: _Mapped) -> None:
+    def _report(self, log: Log, robot: Robot, named: bool, mapped: _Mapped, besides: str) -> None:
         if not named:
             print(f"robot: {robot.name}, as none was named", file=sys.stderr)
         print_notes(log)
         part = mapped.grid.observed_part() or mapped.grid  # as the page counts, and as the picture shows
         (rows, cols), cell = part.shape, part.resolution
         files = f"{self.out}/map.png{', map.html' if self.view else ''}; {self.out}/map.yaml is for Nav2's map_server"
-        what = f"{log.name}: {mapped.frames} scans of {robot.name} in {mapped.seconds:.1f} s"
+        what = f"{log.name}: {mapped.frames} scans of {robot.name} in {mapped.seconds:.1f} s{besides}"
         print(escaped(f"{what}; map of {cols * cell:.1f} x {rows * cell:.1f} m in {files}"))
 
     def _besides(self) -> list[str]:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from echogrid.doubts import FASTEST_M_S, LEFT_OUT
+from echogrid.doubts import FASTEST_M_S, LEFT_OUT, STARTS_ANEW
 from echogrid.errors import InputError
 from echogrid.frame import Frame, Log
 from echogrid.geometry import wrap
@@ -28,11 +28,12 @@ LEAST_M = 0.5
 UNHEARD_M = 3.0
 """A way without an echo that is longer is told."""
 
-LOOSE_M = 3.0
-"""A way along which the drive is loose or at odds with itself is told if it is longer."""
+LOOSE_M, ODD_M, ODD_IN_ALL_M = 10.0, 1.0, 2.0
+"""A way along which the drive is loose is told if it is longer than the first. Those along which it is at odds with
+itself are if each is longer than the second, and all together longer than the third."""
 
-LONE_M = 30.0
-"""In a drive that is longer it is told if no place was seen twice."""
+LONE_M, LONE_MOVED_M = 30.0, 0.5
+"""In a drive that is longer, or that was moved farther, it is told if no place was seen twice."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,7 @@ def slam(log: Iterable[Frame], robot: Robot, progress: Callable[[int, int], obje
         raise InputError(name, share, "poses in m and rad, and stamps in s")
     notes = log.notes if isinstance(log, Log) else {}
     notes.pop(LEFT_OUT, None)  # here such scans stay, with another pose
+    notes = {note: count for note, count in notes.items() if STARTS_ANEW not in note}  # that is mended here
     notes |= told.notes
     found = None
     if why := _nothing_to_find(told.poses, ranges):
@@ -151,10 +153,11 @@ def _unheard(
 
 
 def _alone(found: Found) -> dict[str, int]:
-    """A note, if no place was seen twice in a long drive."""
+    """A note, if no place was seen twice in a long drive, or in one that lies elsewhere than odometry says."""
     way, _ = motion.lengths(motion.steps(found.poses[found.nodes]))
     length = float(np.abs(way).sum())
-    if found.loops or length <= LONE_M:
+    moved = float(np.hypot(*(found.poses - found.odometry)[:, :2].T).max())
+    if found.loops or (length <= LONE_M and moved <= LONE_MOVED_M):
         return {}
     only = f"the map is only as good as odometry and scans are from one to the next over {length:.0f} m"
     return {f"no place was seen twice: {only} (a drive that comes back to where it was tells more)": 0}
@@ -162,7 +165,7 @@ def _alone(found: Found) -> dict[str, int]:
 
 def _loose(found: Found) -> dict[str, int]:
     """A note on parts of the drive that lie beside others and that nothing ties to them."""
-    if not (where := _ways(found.poses[found.nodes], found.loose)) or not found.loops:
+    if not (where := _ways(found.poses[found.nodes], found.loose, LOOSE_M, LOOSE_M)) or not found.loops:
         return {}
     what = f"{where[0]} of the drive lie beside another part of it and nothing ties them"
     return {f"{what}: walls may be double {where[1]}": 0}
@@ -175,19 +178,23 @@ def at_odds(nodes: Float[ndarray, "nodes 3"], together: Compared) -> dict[str, i
         nodes: its places, m, m, rad.
         together: how what was seen there lies together.
     """
-    if not (where := _ways(nodes, together.doubtful)):
+    if not (where := _ways(nodes, together.doubtful, ODD_M, ODD_IN_ALL_M)):
         return {}
     double = f"walls are double {where[1]}, or something was moved meanwhile"
     return {f"along {where[0]} of the drive walls were seen where at other times there was free floor: {double}": 0}
 
 
-def _ways(nodes: Float[ndarray, "nodes 3"], which: Bool[ndarray, "nodes"]) -> tuple[str, str] | None:
-    """How long the ways through some of the nodes are in all, and where the longest is; None: none is long."""
+def _ways(
+    nodes: Float[ndarray, "nodes 3"], which: Bool[ndarray, "nodes"], least_m: float, in_all_m: float
+) -> tuple[str, str] | None:
+    """How long those ways through some of the nodes are in all that are not short, and where the longest is; None:
+    they are not long.
+    """
     ends = np.flatnonzero(np.diff(np.concatenate([[0], which, [0]])))
     step = np.append(np.abs(motion.lengths(motion.steps(nodes))[0]), 0.0)
     runs = [(float(step[a:b].sum()), a) for a, b in zip(ends[::2], ends[1::2], strict=True)]
-    runs = [run for run in runs if run[0] > LOOSE_M]
-    if not runs:
+    runs = [run for run in runs if run[0] > least_m]
+    if not runs or sum(run[0] for run in runs) <= in_all_m:
         return None
     length, node = max(runs)
     x, y, _ = nodes[node].tolist()

@@ -11,6 +11,9 @@ from echogrid.grid import Grid
 from echogrid.position.beams import FREE, OCCUPIED
 from echogrid.yaml_keys import shown
 
+ABOUT_M = 0.3
+"""A start that is given is right to about so far."""
+
 
 class Walls:
     """Cells through which no robot drives."""
@@ -49,6 +52,9 @@ def check_start(grid: Grid, start: Float[ndarray, "_"] | Sequence[float] | None)
         raise UsageError(f"{where}, of which the map knows nothing, expected free floor")
     if grid.probability_at(pose[:2]) > OCCUPIED:
         raise UsageError(f"{where}, in a wall, expected free floor")
+    free = grid.centre_of(np.argwhere(grid.observed & (p < FREE)))
+    if np.hypot(*(free - pose[:2]).T).min() > ABOUT_M:
+        raise UsageError(f"{where}, where the map knows no free floor within {ABOUT_M:g} m, expected free floor")
 
 
 def in_map(grid: Grid, pose: Float[ndarray, "3"]) -> Int[ndarray, "2"]:
