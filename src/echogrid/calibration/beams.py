@@ -55,12 +55,8 @@ class Chances(NamedTuple):
     wall: Int[ndarray, "chances"]
     bearing: Float[ndarray, "chances"]
     """Of the wall on the robot, rad."""
-    distance: Float[ndarray, "chances"]
-    """Of the wall, m."""
     miss: Float[ndarray, "chances"]
     """How much longer the reading is, in spreads at that distance; inf without an echo."""
-    spread: Float[ndarray, "chances"]
-    """One spread, m."""
 
     @property
     def heard(self) -> ndarray:
@@ -106,7 +102,7 @@ def chances(
         walls: of the drive.
         miss_m: how far echoes at 1 m are off their walls, m (standard deviation).
     """
-    out, fresh = [np.zeros((6, 0))], readings.fresh & ~np.isnan(readings.ranges)
+    out, fresh = [np.zeros((4, 0))], readings.fresh & ~np.isnan(readings.ranges)
     sonars, near = compose(readings.poses, mounts), walls.near(len(readings.poses), SEEN_FRAMES)
     for first, last, which in walls.parts():
         many = np.meshgrid(np.arange(first, last), np.arange(readings.sonars), which, indexing="ij")
@@ -118,9 +114,9 @@ def chances(
         ok = walls.faces(w, along) & near[w, f]
         ok &= (distance > NEAREST_M) & fresh[f, s] & (miss > -3)
         ok &= np.abs(wrap(bearing - mounts[s, 2])) < ASIDE_RAD
-        out.append(np.stack([each[ok] for each in (s, w, bearing, distance, miss, spread)]))
-    s, w, *rest = np.concatenate(out, axis=1)
-    return Chances(s.astype(int), w.astype(int), *rest)
+        out.append(np.stack([each[ok] for each in (s, w, bearing, miss)]))
+    s, w, bearing, miss = np.concatenate(out, axis=1)
+    return Chances(s.astype(int), w.astype(int), bearing, miss)
 
 
 def fit(found: Chances, given: Float[ndarray, "sonars"], yaw: Float[ndarray, "sonars"], half: float) -> Beams:

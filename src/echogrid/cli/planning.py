@@ -13,6 +13,7 @@ from tqdm import tqdm
 from tyro.conf import Positional, arg
 
 from echogrid.cli.arguments import WORLD, check_physics, check_seed, drop, robot_arg, start_pose
+from echogrid.cli.poses import TRAJECTORIES, write_trajectories
 from echogrid.errors import UsageError, escaped
 from echogrid.extras import need
 from echogrid.files import check_writable, made, printable, read_text, replacing
@@ -101,7 +102,6 @@ def _csv(way: "Way") -> str:
 
 
 _EXPLORED = ("drive.csv", "drive.truth.npz", "explore.json")
-_TRAJECTORIES = ("trajectory.tum", "odometry.tum")
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class Explore:
         world, robot = World.load(self.world).with_walls(self.walls), Robot.load(self.robot)
         start = self._start(world, robot)
         title = escaped(f"{world.name} explored by {robot.name}, walls {self.walls}")
-        written = ["map.html", *(_TRAJECTORIES if self.slam else ())]
+        written = ["map.html", *(TRAJECTORIES if self.slam else ())]
         with made(self.out):
             check_folder(self.out, written)
             for name in _EXPLORED:
@@ -179,14 +179,12 @@ class Explore:
         """Write what there is besides the map."""
         from echogrid.logs.csv_log import write_csv
         from echogrid.output.map_file import write_truth
-        from echogrid.output.trajectory import write_tum
         from echogrid.simulation.drive import truth_of
 
         poses = np.array([frame.pose for frame in found.frames])
         if self.slam:
-            stamps = np.array([frame.stamp for frame in found.placed])
-            write_tum(self.out / "trajectory.tum", stamps, np.array([frame.pose for frame in found.placed]))
-            write_tum(self.out / "odometry.tum", stamps, np.array([frame.odom for frame in found.placed]))
+            placed = ((frame.stamp, frame.pose, frame.odom) for frame in found.placed)
+            write_trajectories(self.out, *(np.array(column) for column in zip(*placed, strict=True)))
         told: dict[str, Any] = {"world": world.name, "robot": robot.name, "walls": self.walls, "seed": self.seed}
         with (
             replacing(self.out / "explore.json") as record,

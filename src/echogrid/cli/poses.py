@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
 
 from echogrid.cli.arguments import shown, steps
 from echogrid.errors import escaped
@@ -16,7 +18,8 @@ from echogrid.robot import Robot
 if TYPE_CHECKING:
     from echogrid.position.corrected import Corrected
 
-POSE_FILES = ("trajectory.tum", "odometry.tum", "graph.g2o")
+TRAJECTORIES = ("trajectory.tum", "odometry.tum")
+POSE_FILES = (*TRAJECTORIES, "graph.g2o")
 
 
 def corrected(log: Log, robot: Robot) -> "Corrected":
@@ -30,13 +33,20 @@ def corrected(log: Log, robot: Robot) -> "Corrected":
 
 def pose_files(drive: "Corrected") -> list[str]:
     """Those of POSE_FILES that there are; where nothing was to be found there is no graph."""
-    return list(POSE_FILES if drive.found is not None else POSE_FILES[:2])
+    return list(POSE_FILES if drive.found is not None else TRAJECTORIES)
+
+
+def write_trajectories(
+    folder: Path, stamps: Float[ndarray, "n"], poses: Float[ndarray, "n 3"], odometry: Float[ndarray, "n 3"]
+) -> None:
+    """Write TRAJECTORIES: stamps in s, poses as found and by odometry, m, m, rad."""
+    for name, each in zip(TRAJECTORIES, (poses, odometry), strict=True):
+        write_tum(folder / name, stamps, each)
 
 
 def write_poses(folder: Path, drive: "Corrected") -> None:
     """Write the files of poses."""
-    write_tum(folder / "trajectory.tum", drive.stamps, drive.poses)
-    write_tum(folder / "odometry.tum", drive.stamps, drive.odometry)
+    write_trajectories(folder, drive.stamps, drive.poses, drive.odometry)
     if (found := drive.found) is not None:
         edges = found.edges
         nodes = drive.poses[found.nodes]

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from numpy.lib.stride_tricks import sliding_window_view
 
-from echogrid.geometry import compose
+from echogrid.geometry import transform
 from echogrid.position.matching import Field
 
 COARSE = 3
@@ -38,10 +38,7 @@ class Cells(NamedTuple):
 def cells(field: Field) -> Cells:
     """What a local map says, in coarse cells."""
     n = COARSE
-    rows, cols = (-(-size // n) for size in field.b.shape)
-    whole = np.zeros((rows * n, cols * n))
-    whole[: field.b.shape[0], : field.b.shape[1]] = field.b
-    blocks = whole.reshape(rows, n, cols, n)
+    blocks = field.blocks(n)
 
     def middles(which: Bool[ndarray, "rows cols"]) -> Float[ndarray, "_ 2"]:
         return ((np.argwhere(which)[:, ::-1] + 0.5) * (n * field.cell_m) + field.origin).astype(np.float32)
@@ -90,7 +87,7 @@ def compared(poses: Float[ndarray, "pieces 3"], seen: Sequence[Cells], apart: in
         seen: what each of them saw.
         apart: of so many pieces after each other none is compared with another.
     """
-    wall, free = ([_laid(pose, each[i]) for pose, each in zip(poses, seen, strict=True)] for i in (0, 1))
+    wall, free = ([transform(pose, each[i]) for pose, each in zip(poses, seen, strict=True)] for i in (0, 1))
     if not sum(map(len, wall)):
         return Compared(*np.zeros((3, len(seen)), dtype=int))
     size = seen[0].size_m
@@ -126,10 +123,6 @@ def compared(poses: Float[ndarray, "pieces 3"], seen: Sequence[Cells], apart: in
         near = (count[0, around[own[k]]] > 0).any(axis=1)
         alike[k], against[k] = near.sum(), ((count[1, own[k]] >= TWICE) & ~near).sum()
     return Compared(np.array([len(each) for each in own]), alike, against)
-
-
-def _laid(pose: Float[ndarray, "3"], points: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
-    return compose(pose, np.column_stack([points, np.zeros(len(points))]))[:, :2]
 
 
 def _found(known: Int[ndarray, "known"], keys: Int[ndarray, "*n"]) -> Int[ndarray, "*n"]:

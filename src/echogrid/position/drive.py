@@ -10,7 +10,7 @@ from numpy import ndarray
 from scipy import ndimage
 
 from echogrid.frame import Frame
-from echogrid.geometry import compose, inverse, wrap
+from echogrid.geometry import compose, inverse, transform, wrap
 from echogrid.position import bends, walls
 from echogrid.position.contradictions import Cells, Compared, cells, compared
 from echogrid.position.graph import Edges, Solution, chi2, joined, residuals, solve
@@ -183,14 +183,17 @@ class Drive:
             self._look_along_walls(m)
         self._solve(self.count, 20)
 
-    def reconcile(self) -> None:
+    def reconcile(self) -> Compared:
         """Look once more, and widely, where what was seen contradicts what was seen at other times: there the poses
         are less sure than the graph takes them to be. What brings less together is undone.
+
+        Returns:
+            How what was seen lies together then.
         """
+        told = self.compared()
         for _ in range(MOST_ROUNDS):
-            told = self.compared()
             if self._solution is None or not told.doubtful.any():
-                return
+                break
             before = self.poses.copy(), self.parameters, len(self.matches)
             fair, self._fair = self._fair, UNFAIR
             for k in self._suspects(told)[::LOOP_EVERY].tolist():
@@ -198,14 +201,17 @@ class Drive:
                 self._close_loops(k, AMISS, later=True)
             self._fair = fair
             if len(self.matches) == before[2]:
-                return
+                break
             self._solve(self.count, 20)
-            if self.compared().balance <= told.balance:
+            now = self.compared()
+            if now.balance <= told.balance:
                 self.poses, self.parameters = before[:2]
                 del self.matches[before[2] :]
                 self._correct()
                 self._solve(self.count)
-                return
+                return self.compared()
+            told = now
+        return told
 
     def _suspects(self, told: Compared) -> Int[ndarray, "suspects"]:
         """Pieces that contradict others, and the loose parts of the drive that such are in."""
@@ -331,10 +337,11 @@ class Drive:
                 self._cells.append(cells(self._own(k, False)))
         return bends.heading_bias(self._step, self.cut, self._points)
 
-    @property
-    def unsure(self) -> bool:
-        """Whether many of the loops were looked for widely, and that they are right does not show."""
-        shown = self.count >= SHORT and not self.compared().doubtful.any()
+    def unsure(self, together: Compared) -> bool:
+        """Whether many of the loops were looked for widely, and how what was seen lies together does not show that
+        they are right.
+        """
+        shown = self.count >= SHORT and not together.doubtful.any()
         return self._looked[1] > UNSURE * self._looked[0] and not shown
 
     def sharpness(self) -> float:
@@ -476,8 +483,7 @@ class Drive:
         """Surface points of piece k as seen from piece m."""
         if k not in self._walls:
             self._walls[k] = walls.surface_points(self._own(k, False), walls.MOST_POINTS, self._rng)
-        points = np.column_stack([self._walls[k], np.zeros(len(self._walls[k]))])
-        return compose(compose(inverse(self.poses[m]), self.poses[k]), points)[:, :2]
+        return transform(compose(inverse(self.poses[m]), self.poses[k]), self._walls[k])
 
     def _heading_spread(self, m: int) -> float:
         last = min(m, self._placed - 1)

@@ -104,11 +104,9 @@ class Growing(Drive):
     def _look_back(self) -> None:
         """See whether what was seen at different times lies together; what did not before was tried in vain."""
         self._together = self.compared()
-        if (doubtful := int(self._together.doubtful.sum())) > self._tried:
-            self.reconcile()
-            self._together = self.compared()
-            doubtful = int(self._together.doubtful.sum())
-        self._tried = doubtful
+        if self._together.doubtful.sum() > self._tried:
+            self._together = self.reconcile()
+        self._tried = int(self._together.doubtful.sum())
 
     def _unbend(self) -> None:
         """Place all pieces anew with the heading bias with which what was seen lies together best, if that is not

@@ -71,6 +71,13 @@ class Field(NamedTuple):
     """Lower left corner, m."""
     cell_m: float
 
+    def blocks(self, n: int) -> Float[ndarray, "rows n cols n"]:
+        """The cells by blocks of n x n; beyond the last nothing is known."""
+        rows, cols = (-(-size // n) for size in self.b.shape)
+        whole = np.zeros((rows * n, cols * n))
+        whole[: self.b.shape[0], : self.b.shape[1]] = self.b
+        return whole.reshape(rows, n, cols, n)
+
 
 def seen(field: Field, most: int, rng: np.random.Generator) -> Seen:
     """At most so many points of a local map, half of them surface where there is as much."""
@@ -111,10 +118,7 @@ class Target:
     def coarse(self) -> "Target":
         """It in coarse cells; those that hold a surface anywhere are one."""
         field, n = self._field, COARSE
-        rows, cols = (-(-size // n) for size in field.b.shape)
-        whole = np.zeros((rows * n, cols * n))
-        whole[: field.b.shape[0], : field.b.shape[1]] = field.b
-        blocks = whole.reshape(rows, n, cols, n)
+        blocks = field.blocks(n)
         most, least = blocks.max(axis=(1, 3)), blocks.min(axis=(1, 3))
         return Target(Field(np.where(most > KNOWN, most, least), field.origin, n * field.cell_m))
 

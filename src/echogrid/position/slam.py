@@ -58,8 +58,7 @@ def slam(frames: Iterable[Frame], robot: Robot, progress: Callable[[int, int], o
     frames = list(frames)
     odometry = np.array([frame.pose for frame in frames], dtype=float)
     drive = _placed(Drive(frames, odometry, robot), progress)
-    drive.reconcile()
-    if drive.unsure:
+    if drive.unsure(drive.reconcile()):
         drive = _sharper(drive, _placed(Drive(frames, odometry, robot, UNFAIR, drive), progress))
         drive.reconcile()
     drive.trust()
