@@ -3,12 +3,13 @@ import os
 import shutil
 import tempfile
 
+import jaxtyping
 import pytest
 from hypothesis import settings
-from jaxtyping import install_import_hook
 
-# Array shapes in signatures are checked in all tests; an int will do where a float is asked for (PEP 484).
-install_import_hook("echogrid", "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
+# Array shapes in signatures are checked in all tests but those marked far; an int will do where a float is asked for
+# (PEP 484).
+jaxtyping.install_import_hook("echogrid", "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
 
 # How long an example takes depends on what else the machine does. A change is judged by the same examples each time;
 # `pytest --hypothesis-profile=explore` looks for new ones, and for more.
@@ -25,6 +26,11 @@ os.environ |= {
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
 }
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    jaxtyping.config.update("jaxtyping_disable", item.get_closest_marker("far") is not None)
 
 
 @pytest.fixture

@@ -125,6 +125,11 @@ def test_the_pioneer_has_the_mounts_of_its_driver():
     np.testing.assert_allclose(Robot.load("p3dx").mounts, mounts, atol=1e-9)
 
 
+@pytest.mark.parametrize(("low", "deaf"), [(0.26, 0.2475), (0.01, 0.0)])
+def test_nearer_than_its_shortest_range_a_robot_is_deaf(low, deaf):
+    assert replace(Robot.load("b21"), min_range_m=low).deaf_m == pytest.approx(deaf, abs=1e-4)
+
+
 @pytest.mark.parametrize(("name", "pitch", "radius"), [("nomad200", 22.5, 0.225), ("scitos-g5", 15, None)])
 def test_a_round_robot_has_an_even_ring(name, pitch, radius):
     mounts = Robot.load(name).mounts

@@ -73,6 +73,12 @@ class Robot:
         """Number of sonars."""
         return len(self.mounts)
 
+    @property
+    def deaf_m(self) -> float:
+        """How far from its footprint, m, a robot hears nothing: within the shortest range of its sonars."""
+        inside = self.footprint_radius_m - np.linalg.norm(self.mounts[:, :2], axis=1)
+        return max(0.0, self.min_range_m - float(np.min(inside)))
+
     def clean(self, ranges: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
         """Apply the no-echo rule: at or past the maximum range -> +inf, below the minimum range or 0 -> nan.
 

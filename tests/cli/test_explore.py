@@ -33,6 +33,7 @@ def test_a_room_is_explored_and_all_of_it_written(run, place):
     assert np.mean(np.abs(first.probability_at(middles) - again.probability_at(middles)) < 0.1) > 0.95
 
 
+@pytest.mark.far
 def test_poses_that_it_finds_are_written_beside_those_of_its_wheels(run, place):
     out = place / "explored"
     status, _, noted = run("explore", "box.yaml", "--robot", "b21", "--seed", "2", "--slam", "--out", out)
@@ -48,7 +49,7 @@ def test_poses_that_it_finds_are_written_beside_those_of_its_wheels(run, place):
     )
     np.testing.assert_allclose(wheels[:, :2], told_by_wheels[:, :2], atol=1e-5)
     off, drift = (np.max(np.hypot(*(poses - true)[:, :2].T)) for poses in (found, wheels))
-    assert 0 < off < 0.15
+    assert 0 < off < 0.2
     assert off < drift + 0.05  # in so small a room nothing has drifted far
 
 

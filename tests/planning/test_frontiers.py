@@ -1,6 +1,7 @@
 """Frontiers: where the floor ends that is known, and the robot could go on."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from echogrid import Grid, Robot
 from echogrid.geometry import wrap
 from echogrid.grid import logit
 from echogrid.planning.clearance import Floor
-from echogrid.planning.frontiers import REACH_M, edges, look
+from echogrid.planning.frontiers import REACH_M, STAND_M, edges, look
 
 CELL = 0.05
 B21 = Robot.load("b21")
@@ -51,6 +52,39 @@ def test_a_door_is_one_and_a_crack_is_none():
         assert one.gain_m2 > 0.3
     assert len(found(room(door=0.9))) >= 1
     assert found(room(door=0.4)) == []
+
+
+def test_a_first_look_is_from_where_sonars_hear_what_is_beyond():
+    p = room()
+    p[:, 40:] = np.nan
+    floor = floor_of(p)
+    at = floor.cell((1.0, 1.5))
+    assert at is not None
+    # The sonars of a B21 hear nothing within 0.26 m, that is up to 0.25 m off its footprint.
+    for one in edges(floor, B21, at, 0.9).frontiers:
+        assert floor.known_m[one.cell] < B21.footprint_radius_m + 2 * CELL
+        stand = floor.grid.centre_of(np.array(one.stand))
+        assert math.dist(stand, one.place) <= STAND_M + 1e-9
+        assert floor.known_m[one.stand] > B21.footprint_radius_m + 0.2 or abs(one.place[1] - 1.5) > 0.8
+    near = replace(B21, min_range_m=0.01)
+    assert all(one.stand == one.cell for one in edges(floor, near, at, 0.9).frontiers)
+
+
+def test_a_first_look_is_from_this_side_of_a_wall():
+    """The other side is in reach too, and there is more room there."""
+    p = np.full((60, 120), 0.05)
+    p[:2] = p[-2:] = 0.99
+    p[:, :2] = p[:, -2:] = 0.99
+    p[16:, 40] = 0.99
+    p[30:, 52:] = np.nan
+    p[16:30, 52] = 0.99
+    floor = floor_of(p)
+    at = floor.cell((1.0, 1.5))
+    assert at is not None
+    found = edges(floor, B21, at, 0.9).frontiers
+    assert found
+    for one in found:
+        assert floor.grid.centre_of(np.array(one.stand))[0] > 40 * CELL
 
 
 def test_a_rim_that_is_not_known_is_none():

@@ -235,3 +235,15 @@ def test_clearance_is_the_room_beside_the_footprint():
     assert floor.known_m[cell] == pytest.approx(1.025 - CELL, abs=1e-6)
     path = plan(grid_of(room()), (1, 1.025), (5, 1.025), B21)
     assert path.clearance_m == pytest.approx(np.full(len(path.points), 1.025 - CELL - R), abs=0.3)
+
+
+def test_where_its_sonars_hear_nothing_a_metre_is_dear_and_the_middle_stays_the_cheapest():
+    grid = grid_of(parted(1.0))
+    plain, deaf = Floor.of(grid, R), Floor.of(grid, R, deaf_m=0.2)
+    beside = np.minimum(plain.gap_m - plain.body_m, plain.known_m - R)
+    assert np.all(deaf.known_costs[beside > 0.2] == plain.known_costs[beside > 0.2])
+    near = (beside >= 0) & (beside < 0.19)
+    assert np.all(deaf.known_costs[near] > plain.known_costs[near])
+    across = deaf.known_costs[:, round(3.0 / CELL) + 1]  # in the door
+    way = np.flatnonzero(np.isfinite(across))
+    assert abs(float(np.mean(way[across[way] == across[way].min()])) - np.mean(way)) <= 1

@@ -11,7 +11,7 @@ count.
 One row a case: ATE is the root mean square of the distances to the true positions after the whole trajectory was laid
 onto the true one (as ``evo_ape -a``), ``first`` the same with the first pose laid onto the true first; ``worst`` is
 the largest aligned distance, ``entropy`` that of the hits (``measures.py``). --maps adds the scores of maps by the
-default model from the poses given, those found and the true ones, each laid with its first pose onto the true first.
+default model from the poses given, those found and the true ones, each laid onto the true ones as for ATE.
 With --out position_METHOD_ERRORS.json goes there, and each case's trajectory as TUM file.
 """
 
@@ -30,9 +30,8 @@ from tqdm import tqdm
 
 from echogrid import Log, Robot, build_map, slam
 from echogrid.errors import EchogridError
-from echogrid.geometry import compose, inverse
 from echogrid.mapping.registry import DEFAULT, sensor_model
-from echogrid.metrics import score, trajectory_error
+from echogrid.metrics import laid_onto, score, trajectory_error
 from echogrid.output.map_file import read_truth
 from echogrid.output.trajectory import read_tum, write_tum
 from experiments.common import report
@@ -85,8 +84,7 @@ def judged(case: Case, method: Method, errors: str, out: Path | None, maps: bool
         found |= {"given": asdict(trajectory_error(given, truth)), "found": asdict(trajectory_error(poses, truth))}
         if maps and (case.folder / "truth.npz").is_file():
             laid = {"given": given, "found": poses, "true": truth}
-            laid = {name: compose(compose(truth[0], inverse(some[0])), some) for name, some in laid.items()}
-            found["maps"] = map_scores(case, laid)
+            found["maps"] = map_scores(case, {name: laid_onto(some, truth) for name, some in laid.items()})
         peer = case.folder / "authors.tum"
         if peer.is_file():
             found["authors"] = asdict(trajectory_error(read_tum(peer)[1], truth))

@@ -19,6 +19,10 @@ EASY_M, DEAR = 0.1, 1.0
 """Room beside the robot comes to be worth e times less with each so many metres more; with none a metre costs 1 + so
 much."""
 
+DEAF_COST = 6.0
+"""Of a metre besides where the robot touches something, down to none at the shortest range of its sonars: nearer than
+that it hears nothing, and what it has not heard there before, as the far side of a pillar, looks free."""
+
 UNKNOWN_COST = 30.0
 """Of a metre in which the footprint covers ground that is not known, where such may be driven on."""
 
@@ -41,6 +45,8 @@ class Floor:
     """As DEAR."""
     free_p: float = FREE_THRESH
     """What is occupied with less than this probability counts as free."""
+    deaf_m: float = 0.0
+    """So far from its footprint it hears nothing; see DEAF_COST."""
 
     @staticmethod
     def of(
@@ -51,6 +57,7 @@ class Floor:
         easy_m: float = EASY_M,
         dear: float = DEAR,
         free_p: float = FREE_THRESH,
+        deaf_m: float = 0.0,
     ) -> "Floor":
         """The floor of a map.
 
@@ -62,6 +69,7 @@ class Floor:
             easy_m: see ``Floor``.
             dear: likewise.
             free_p: likewise.
+            deaf_m: likewise.
 
         Raises:
             UsageError: the map has no cell that is known to be free, or too many cells.
@@ -74,7 +82,7 @@ class Floor:
             raise UsageError(f"plan: found a map of {found}, expected at most {MOST_CELLS:.2g}; make them larger")
         rim = 1 + int(np.ceil(rim_m / grid.resolution))
         rimmed = part.part(np.array([-rim, -rim]), (part.shape[0] + 2 * rim, part.shape[1] + 2 * rim))
-        return Floor(rimmed, radius_m, margin_m, easy_m, dear, free_p)
+        return Floor(rimmed, radius_m, margin_m, easy_m, dear, free_p, deaf_m)
 
     @cached_property
     def occupied(self) -> Bool[ndarray, "rows cols"]:
@@ -121,6 +129,8 @@ class Floor:
         """
         beside = np.minimum(self.gap_m - np.float32(self.body_m), self.known_m - np.float32(self.radius_m))
         costs = 1 + np.float32(self.dear) * np.exp(-np.maximum(beside, 0) / np.float32(self.easy_m))
+        if self.deaf_m:
+            costs += np.float32(DEAF_COST) * np.clip(1 - beside / np.float32(self.deaf_m), 0, 1)
         costs[self.known_m < self.radius_m] = UNKNOWN_COST if unknown else np.inf
         costs[self.gap_m < self.body_m] = np.inf
         return costs

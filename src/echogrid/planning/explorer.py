@@ -180,7 +180,7 @@ class Explorer:
             near = [one for one in view.found.frontiers if np.linalg.norm(one.place - goal.place) < SAME_M]
             if near and not self._asides.holds(goal.place, self._level):
                 self.goal = min(near, key=lambda one: float(np.linalg.norm(one.place - goal.place)))
-                self._go(view, self.goal.cell)
+                self._go(view, self._looked_from(self.goal))
                 return True
         for number in range(self._lowest, len(LEVELS)):
             view = views[number]
@@ -188,14 +188,19 @@ class Explorer:
                 if goal is None or np.linalg.norm(best.place - goal.place) > SAME_M:
                     self._blocked, self._looks = 0, []
                 self.goal, self._level = best, number
-                self._go(view, best.cell)
+                self._go(view, self._looked_from(best))
                 return True
         self.goal = None
         return False
 
+    def _looked_from(self, frontier: Frontier) -> tuple[int, int]:
+        """Where to go: first where sonars hear what is beyond; afterwards close to it, for doors show only there."""
+        return frontier.cell if self._looks else frontier.stand
+
     def floor(self, grid: Grid, free_p: float = FREE_THRESH) -> Floor:
         """The floor of a map, with what was touched. Walls of our maps are thicker than they are; that is margin."""
-        floor = Floor.of(grid, self.robot.footprint_radius_m, RIM_M, 0.0, EASY_M, DEAR, free_p)
+        radius_m, deaf_m = self.robot.footprint_radius_m, self.robot.deaf_m
+        floor = Floor.of(grid, radius_m, RIM_M, 0.0, EASY_M, DEAR, free_p, deaf_m)
         for place in self._bumps:
             if (cell := floor.cell(place)) is not None:
                 floor.grid.log_odds[cell], floor.grid.observed[cell] = 5.0, True
@@ -340,7 +345,8 @@ class Explorer:
         cells, places = cells[fits], places[fits]
         before = np.array(self._looks)
         apart = np.min(np.linalg.norm(places[:, None] - before, axis=2), axis=1)
-        best = int(np.argmax(apart - 0.3 * found.to_go[tuple(cells.T)]))
+        short = np.maximum(floor.radius_m + self.robot.deaf_m - floor.known_m[tuple(cells.T)], 0)
+        best = int(np.argmax(apart - 0.3 * found.to_go[tuple(cells.T)] - short))
         row, col = cells[best].tolist()
         self._looks.append(places[best])
         self._go(self._view, (row, col))

@@ -21,6 +21,9 @@ LEAST_M2 = 0.04
 APART_M = 1.5
 """A frontier longer than this is looked at in parts."""
 
+STAND_M = 0.4
+"""So far from the edge the robot stands, at most, to look from where its sonars hear what is beyond."""
+
 REACH_M = 2.0
 """How far a look tells, m."""
 
@@ -36,9 +39,11 @@ class Frontier:
     """A place at the edge of what is known, which the robot can get to."""
 
     cell: tuple[int, int]
-    """Where it stands to look, [row, col]."""
+    """Middle of the edge, [row, col]."""
     place: Float[ndarray, "2"]
     """Likewise, m."""
+    stand: tuple[int, int]
+    """Where the robot stands for its first look, [row, col], within STAND_M of that."""
     cost: float
     """Of the way there, as of ``Floor.costs``, m."""
     heading: float
@@ -74,7 +79,7 @@ def edges(floor: Floor, robot: Robot, at: tuple[int, int], sure: float) -> Edges
     reach = np.isfinite(to_go)
     edge = _edge(floor, reach, sure)
     groups = _groups(floor, edge, to_go)
-    return Edges([_looked(floor, robot, group, to_go) for group in groups], reach, to_go)
+    return Edges([_looked(floor, robot, group, reach, to_go) for group in groups], reach, to_go)
 
 
 def _edge(floor: Floor, reach: Bool[ndarray, "rows cols"], sure: float) -> Bool[ndarray, "rows cols"]:
@@ -108,14 +113,40 @@ def _groups(
     return sorted(parts, key=lambda part: float(np.min(to_go[tuple(part.T)])))[:MOST]
 
 
-def _looked(floor: Floor, robot: Robot, cells: Int[ndarray, "n 2"], to_go: Float[ndarray, "rows cols"]) -> Frontier:
-    """A frontier as it is seen from its middle, or the cell of it that is nearest to that."""
+def _looked(
+    floor: Floor,
+    robot: Robot,
+    cells: Int[ndarray, "n 2"],
+    reach: Bool[ndarray, "rows cols"],
+    to_go: Float[ndarray, "rows cols"],
+) -> Frontier:
+    """A frontier as it is seen from near its middle, or the cell of it that is nearest to that."""
     middle = np.mean(cells, axis=0)
-    row, col = cells[np.argmin(np.linalg.norm(cells - middle, axis=1))].tolist()
-    place = floor.grid.centre_of(np.array([row, col]))
+    edge = cells[np.argmin(np.linalg.norm(cells - middle, axis=1))]
+    row, col = edge.tolist()
+    place = floor.grid.centre_of(edge)
     heading, gain = look(floor, robot, place)
     length = len(cells) * floor.grid.resolution / max(1, round(BEYOND_M / floor.grid.resolution))
-    return Frontier((row, col), place, float(to_go[row, col]), heading, gain, length)
+    stand = _stand(floor, robot, edge, reach)
+    return Frontier((row, col), place, stand, float(to_go[row, col]), heading, gain, length)
+
+
+def _stand(floor: Floor, robot: Robot, edge: Int[ndarray, "2"], reach: Bool[ndarray, "rows cols"]) -> tuple[int, int]:
+    """The cell in reach near one at an edge, straight ahead of it, from which sonars hear what is not known best."""
+    by = int(STAND_M / floor.grid.resolution)
+    first, last = np.maximum(edge - by, 0), np.minimum(edge + by + 1, floor.grid.shape)
+    near = np.argwhere(reach[first[0] : last[0], first[1] : last[1]]) + first
+    off = np.linalg.norm(near - edge, axis=1) * floor.grid.resolution
+    short = np.maximum(floor.radius_m + robot.deaf_m - floor.known_m[tuple(near.T)], 0)
+    near = near[off <= STAND_M]
+    # Each centimetre of range is worth two of way.
+    order = np.argsort((off + 2 * short)[off <= STAND_M], kind="stable")
+    for cell in near[order]:
+        between = np.rint(np.linspace(edge, cell, 2 * by + 1)).astype(int)
+        if reach[tuple(between.T)].all():
+            row, col = cell.tolist()
+            return row, col
+    raise AssertionError("an edge is in reach")
 
 
 def look(floor: Floor, robot: Robot, place: Float[ndarray, "2"]) -> tuple[float, float]:

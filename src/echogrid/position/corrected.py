@@ -10,7 +10,7 @@ from numpy import ndarray
 from echogrid.doubts import FASTEST_M_S, LEFT_OUT, STARTS_ANEW
 from echogrid.errors import InputError
 from echogrid.frame import Frame, Log
-from echogrid.geometry import wrap
+from echogrid.geometry import compose, inverse, wrap
 from echogrid.mapping.intake import check_robot, cleaned, fitting
 from echogrid.position import motion
 from echogrid.position.contradictions import Compared
@@ -31,6 +31,10 @@ UNHEARD_M = 3.0
 LOOSE_M, ODD_M, ODD_IN_ALL_M = 10.0, 1.0, 2.0
 """A way along which the drive is loose is told if it is longer than the first. Those along which it is at odds with
 itself are if each is longer than the second, and all together longer than the third."""
+
+SLIP_OVER_M, SLIP_M = 2.0, 0.45
+"""It is told if over such a way (by odometry, less its systematic error) places lie so much other than that says.
+Odometry with twice the usual errors comes to 0.35 m at most."""
 
 LONE_M, LONE_MOVED_M = 30.0, 0.5
 """In a drive that is longer, or that was moved farther, it is told if no place was seen twice."""
@@ -106,7 +110,7 @@ def slam(log: Iterable[Frame], robot: Robot, progress: Callable[[int, int], obje
         notes[why] = 0
     else:
         found = found_by([replace(f, pose=p) for f, p in zip(frames, told.poses, strict=True)], robot, progress)
-        notes |= _unheard(stamps, found.poses, ranges) | _alone(found) | _loose(found)
+        notes |= _unheard(stamps, found.poses, ranges) | _alone(found) | _loose(found) | _slipped(found)
         notes |= at_odds(found.poses[found.nodes], found.together)
     poses = told.poses if found is None else found.poses
     posed = Log(name, robot.sonars, log.robot if isinstance(log, Log) else None, _Posed(frames, poses), notes)
@@ -169,6 +173,24 @@ def _loose(found: Found) -> dict[str, int]:
         return {}
     what = f"{where[0]} of the drive lie beside another part of it and nothing ties them"
     return {f"{what}: walls may be double {where[1]}": 0}
+
+
+def _slipped(found: Found) -> dict[str, int]:
+    """A note on the place where what was seen tells most of another way than odometry does."""
+    step = motion.corrected(motion.steps(found.odometry), found.drift)
+    told, places = motion.chained(found.odometry[0], step)[found.nodes], found.poses[found.nodes]
+    way = np.append(0.0, np.cumsum(np.abs(motion.lengths(motion.steps(told))[0])))
+    to = np.searchsorted(way, way + SLIP_OVER_M)
+    since = np.flatnonzero(to < len(way))
+    to = to[since]
+    apart = compose(inverse(told[since]), told[to]) - compose(inverse(places[since]), places[to])
+    off = np.hypot(apart[:, 0], apart[:, 1])
+    if not np.any(off > SLIP_M):
+        return {}
+    most = int(np.argmax(off))
+    x, y, _ = places[since[most]].tolist()
+    where = f"by {off[most]:.1f} m in {SLIP_OVER_M:g} m of way, from x {x:.1f}, y {y:.1f} m on"
+    return {f"odometry is off what was seen {where}: wheels slip there, or the map is wrong": 0}
 
 
 def at_odds(nodes: Float[ndarray, "nodes 3"], together: Compared) -> dict[str, int]:
