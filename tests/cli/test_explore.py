@@ -50,7 +50,7 @@ def test_poses_that_it_finds_are_written_beside_those_of_its_wheels(run, place):
     np.testing.assert_allclose(wheels[:, :2], told_by_wheels[:, :2], atol=1e-5)
     off, drift = (np.max(np.hypot(*(poses - true)[:, :2].T)) for poses in (found, wheels))
     assert 0 < off < 0.2
-    assert off < drift + 0.05  # in so small a room nothing has drifted far
+    assert off < drift + 0.1  # in so small a room nothing has drifted far
 
 
 @pytest.mark.parametrize(
