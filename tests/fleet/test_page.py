@@ -1,3 +1,4 @@
+import io
 import json
 import re
 
@@ -13,6 +14,7 @@ from echogrid.fleet.page import write_tile_page
 from echogrid.fleet.reading import Reading
 from fleet_samples import PIECES, filled, logs, shifted
 
+LEVEL = "return document.documentElement.dataset.level"
 HOSTILE = "</script><script>broken = 1</script>{{facts}}"
 
 
@@ -82,3 +84,51 @@ def test_a_title_is_text_and_nothing_else(page):
     assert "<h1>&lt;/script&gt;&lt;script&gt;broken = 1&lt;/script&gt;{{facts}}</h1>" in text
     assert "connect-src" not in text
     assert "default-src 'none'" in text
+
+
+def test_what_was_seen_is_told(page):
+    folder, reading = page
+    grid = reading.grid()
+    seen = np.argwhere(grid.observed)
+    low, high = grid.centre_of(seen.min(axis=0)), grid.centre_of(seen.max(axis=0))
+    half = grid.resolution / 2
+    np.testing.assert_allclose(facts(folder)["seen"], [*(low - half), *(high + half)], atol=1e-9)
+
+
+def test_in_a_browser_it_shows_all_that_was_seen_moves_and_says_where(browser, page):
+    from selenium.webdriver import ActionChains, Keys
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    def dark():
+        """How many pixels are as dark as walls."""
+        with Image.open(io.BytesIO(browser.get_screenshot_as_png())) as picture:
+            return np.count_nonzero(np.array(picture.convert("L")) < 60)
+
+    def wait(shown):
+        WebDriverWait(browser, 20, 0.05).until(lambda _: shown())
+
+    folder, _ = page
+    browser.get_log("browser")
+    browser.get((folder / "map.html").as_uri())
+    wait(lambda: dark() > 2000)  # more than its texts have
+    left, low, right, high = facts(folder)["seen"]
+    wide, tall = browser.execute_script("return [canvas.clientWidth, canvas.clientHeight]")
+    scale = browser.execute_script("return scale")
+    assert 0.5 < max((right - left) * scale / wide, (high - low) * scale / tall) < 1
+    told = browser.find_element("id", "told")
+    assert told.text == f"x {(left + right) / 2:.2f} m, y {(low + high) / 2:.2f} m"
+    canvas = browser.find_element("id", "map")
+    canvas.send_keys(Keys.ARROW_RIGHT)
+    WebDriverWait(browser, 20, 0.05).until(
+        lambda _: told.text.startswith(f"x {(left + right) / 2 + 80 / scale:.2f} m")
+    )
+    for keys, coarse in (("-" * 5, True), ("+" * 8, False)):
+        canvas.send_keys(keys)
+        wait(lambda coarse=coarse: (browser.execute_script(LEVEL) != "0") is coarse)
+    browser.find_element("id", "all").click()
+    before = browser.execute_script("return [x, y]")
+    ActionChains(browser, duration=0).drag_and_drop_by_offset(canvas, 100, 0).perform()
+    assert browser.execute_script("return x") < before[0]
+    assert browser.find_element("tag name", "h1").text == HOSTILE
+    assert browser.execute_script("return typeof broken") == "undefined"
+    assert [entry for entry in browser.get_log("browser") if entry["level"] != "INFO"] == []

@@ -51,6 +51,7 @@ def write_tile_page(
             "cell": cell,
             "tile": TILE,
             "box": [*low.tolist(), *high.tolist()],
+            "seen": [*(low + pyramid.low[::-1] * cell).tolist(), *(low + pyramid.high[::-1] * cell).tolist()],
             "levels": [pyramid.written.get(level, []) for level in range(levels)],
         }
         shutil.rmtree(folder / PICTURES, ignore_errors=True)
@@ -71,6 +72,10 @@ class _Pyramid:
     progress: Callable[[int, int], object] | None
     written: dict[int, list[str]] = field(default_factory=dict)
     """Names of the pictures of each level."""
+    low: ndarray = field(default_factory=lambda: np.full(2, np.iinfo(np.int64).max))
+    """First row and column, from the lowest of the map, that anybody saw."""
+    high: ndarray = field(default_factory=lambda: np.zeros(2, np.int64))
+    """Likewise those after the last."""
     _done: int = 0
     _block: tuple[Tile, Grid | None] = ((-1, -1), None)
     """The block that was read last, for its tiles follow each other."""
@@ -117,6 +122,10 @@ class _Pyramid:
         grid = self._block[1]
         assert grid is not None
         part = np.s_[(row % BLOCK) * TILE : (row % BLOCK + 1) * TILE, (col % BLOCK) * TILE : (col % BLOCK + 1) * TILE]
+        if (seen := np.argwhere(grid.observed[part])).size:
+            corner = TILE * np.array([row, col])
+            self.low = np.minimum(self.low, corner + seen.min(axis=0))
+            self.high = np.maximum(self.high, corner + seen.max(axis=0) + 1)
         codes = 1 + np.rint(254 * grid.probability()[part])
         return np.where(grid.observed[part], codes, 0).astype(np.uint8)
 
