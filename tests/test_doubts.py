@@ -66,6 +66,19 @@ def test_an_array_that_never_hears_an_echo_is_told():
     assert notes(stamps, poses, ranges) == {}
 
 
+@pytest.mark.parametrize("dead", [1, 8])
+def test_sonars_that_never_hear_an_echo_though_the_others_do_are_told(dead):
+    stamps, poses, ranges = drive()
+    ranges[:, 3 : 3 + dead] = inf
+    (told,) = notes(stamps, poses, ranges)
+    assert told.startswith(f"{dead} of 16 sonars never hear an echo (r3")
+    assert "the others do in 70% of their readings" in told
+    # On a short way, or where the others hear little, that is no wonder.
+    assert notes(stamps, poses * [0.01, 0.01, 1], ranges) == {}
+    few = np.where(np.random.default_rng(1).random(ranges.shape) < 0.6, inf, ranges)
+    assert notes(stamps, poses, few) == {}
+
+
 def test_ranges_below_the_minimum_are_told():
     stamps, poses, ranges = drive()
     (told,) = notes(stamps, poses, ranges / 1000)

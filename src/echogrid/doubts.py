@@ -39,6 +39,10 @@ _REPEATED_FEW, _FEW, _APART_M = 0.3, 4, 0.5
 """That share of an array of fewer sonars, whose longest value may be that of one wall; and how far apart the robot
 was when the value came, at least: who stands hears the same again and again."""
 
+HEARS, DUMB_WAY_M = 0.5, 5.0
+"""A sonar that never hears an echo on a way so long is told of where most others hear one in such a share of their
+readings."""
+
 ZEROS = 0.2
 """Share of the readings that are 0 m from which that is taken for the sensor's no echo."""
 
@@ -178,7 +182,8 @@ class Judge:
         self._first_stamp = nan
         self._longest, self._at_longest, self._sonars_at = -inf, 0, np.zeros(0, dtype=bool)
         self._places_at = np.array([inf, inf, -inf, -inf])
-        self._farthest = 0.0
+        self._farthest = self._way = 0.0
+        self._asked = self._heard = np.zeros(0, dtype=int)
         self._still = Stillness()
         self._along: dict[str, complex] = dict.fromkeys(("radians", *_DEGREES), 0j)
         self._driven = 0
@@ -226,6 +231,9 @@ class Judge:
         self.readings += finite + unheard
         heard = echo & ~past & ~short
         self.echoes += int(np.count_nonzero(heard))
+        if self._asked.size != ranges.shape[1]:
+            self._asked = self._heard = np.zeros(ranges.shape[1], dtype=int)
+        self._asked, self._heard = self._asked + np.sum(~np.isnan(ranges), axis=0), self._heard + np.sum(echo, axis=0)
         longest = float(np.max(ranges, where=heard, initial=-inf))
         if self._sonars_at.size != ranges.shape[1]:
             self._sonars_at = np.zeros(ranges.shape[1], dtype=bool)
@@ -256,6 +264,7 @@ class Judge:
             self._first_stamp = float(rows[0, 0])
         found = speeds(track, turns=whole)
         self.motion.steps += len(found.way)
+        self._way += float(np.sum(found.way, where=~found.far))
         self._count_jumps(track[1:, 0], found.way, found.far)
         self._count_turns(rows)
         if not whole or found.far.all():
@@ -324,11 +333,28 @@ class Judge:
         elif self.short > MOST_INVALID * self.readings and self.readings >= LEAST_READINGS:
             share = f"{self.short / self.readings:.0%} of the readings are below min_range {low:g} m"
             notes[f"{share} and not used: are the ranges in m, is min_range right?"] = 0
+        notes |= self._of_dumb()
         if self._longest_repeats():
             value, often = f"{self._longest:g}", f"comes {self._at_longest} times exactly, from most sonars"
             remedy = f"if that is how the sensor says no echo, map with a robot file whose max_range_m is {value}"
             notes[f"the longest range, {value} m, {often}: {remedy}"] = 0
         return notes
+
+    def _of_dumb(self) -> dict[str, int]:
+        """A note on sonars that never hear an echo though the others do."""
+        asked = self._asked >= LEAST_READINGS
+        dumb = np.flatnonzero(asked & (self._heard == 0))
+        others = asked & (self._heard > 0)
+        if not dumb.size or not others.any() or self._way < DUMB_WAY_M:
+            return {}
+        share = float(np.median(self._heard[others] / self._asked[others]))
+        if share < HEARS:
+            return {}
+        more = f" and {len(dumb) - _FEW} more" if len(dumb) > _FEW else ""
+        names = ", ".join(f"r{i}" for i in dumb[:_FEW]) + more
+        what = f"{len(dumb)} of {self._asked.size} sonars never hear an echo ({names})"
+        why = f"the others do in {share:.0%} of their readings: are they dead? what they say counts as free floor"
+        return {f"{what}, {why}; take them out of the log and the robot file": 0}
 
     def _of_stillness(self) -> dict[str, int]:
         notes: dict[str, int] = {}

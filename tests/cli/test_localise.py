@@ -5,7 +5,8 @@ import pytest
 import yaml
 
 from commands import SAMPLE, assert_refused, everything, put
-from echogrid import load_log, read_map
+from echogrid import load_log, read_map, write_map
+from echogrid.logs.csv_log import write_csv
 from echogrid.output.trajectory import read_tum
 
 LOG = "t,x,y,theta,r0,r1\n0,0,0,0,1.0,1.0\n1,0.1,0,0,0.9,1.0\n"
@@ -82,3 +83,24 @@ def test_a_start_in_a_wall_is_refused(run, house, place):
         run, place, "localise", "drive.csv", "--robot", "duo.yaml", "--map", house, f"--start={x},{y},0"
     )
     assert "in a wall, expected free floor" in line
+
+
+def test_a_drive_through_walls_is_told(run, house, tmp_path):
+    """The map of another place: the sample's own with all of its lower half forgotten."""
+    known = read_map(house)
+    part = known.part(np.array([known.shape[0] // 2, 0]), (known.shape[0] // 2, known.shape[1]))
+    write_map(tmp_path / "half", part, np.zeros((1, 2)), {}, "half")
+    frames = list(load_log(str(SAMPLE)))
+    high = part.origin[1] + 1.0
+    begin = next(i for i, each in enumerate(frames) if each.pose[1] > high)
+    x, y, theta = frames[begin].pose
+    write_csv(tmp_path / "drive.csv", frames[begin:], len(frames[0].ranges))
+    places = ["--map", tmp_path / "half", f"--start={x:.2f},{y:.2f},{np.rad2deg(theta):.1f}"]
+    status, _, noted = run("localise", tmp_path / "drive.csv", "--robot", "b21", *places, "--out", tmp_path / "found")
+    assert status == 0
+    (note,) = [line for line in noted.splitlines() if "where the map has walls or nothing" in line]
+    assert note.startswith("note: along ")
+    assert any(
+        "where the map has walls" in told
+        for told in yaml.safe_load((tmp_path / "found" / "run.yaml").read_text())["notes"]
+    )

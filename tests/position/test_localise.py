@@ -11,6 +11,7 @@ from echogrid.errors import UsageError
 from echogrid.geometry import compose, inverse, wrap
 from echogrid.grid import logit
 from echogrid.position.beams import REACH_M, Beams
+from echogrid.position.localise import _off_floor
 from echogrid.position.particles import Particles
 from echogrid.position.usual import Usual
 from echogrid.robot import parse_robot
@@ -101,6 +102,13 @@ def test_a_drive_is_tracked_though_its_odometry_drifts(case, robot):
     assert not found.events
     assert np.sqrt(np.mean(off(found.poses, poses) ** 2)) < 0.08
     assert np.abs(wrap(found.poses[:, 2] - poses[:, 2])).max() < np.deg2rad(8)
+
+
+def test_poses_off_the_free_floor_are_known(case, robot):
+    grid, poses, log = case
+    assert not localise(log[:100], grid, robot, poses[0]).off_floor.any()
+    places = np.array([(1.0, 1.5, 0.0), (-0.05, 1.5, 0.0), (-0.15, 1.5, 0.0), (2.0, 0.3, 0.0), (9.0, 9.0, 0.0)])
+    np.testing.assert_array_equal(_off_floor(grid, places), [False, False, True, True, True])
 
 
 def test_a_robot_is_found_anywhere_and_so_is_the_way_that_led_there(case, robot):

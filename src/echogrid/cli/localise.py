@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 _FILES = ("trajectory.tum", "map.png", "run.yaml")
 
+_OFF_FLOOR_M = 0.5
+"""A way off the free floor that is longer is told."""
+
 _SAID = {
     "sure": "one place remained",
     "lost": "the place did not explain what was heard: looked for it anywhere again",
@@ -111,7 +114,7 @@ class Localise:
         settings = asdict(self) | {"log": log.name, "robot": robot_yaml(robot), "frames": len(found.poses)}
         events = [event._asdict() | {"place": found.poses[event.frame].round(4)} for event in found.events]
         settings |= {"frames_not_sure": int(np.sum(~found.sure)), "events": events}
-        return settings | {"notes": dict(log.notes)}
+        return settings | {"notes": log.notes | _off_floor(found)}
 
     def _report(self, log: Log, robot: Robot, found: "Localised", seconds: float) -> None:
         for event in found.events:
@@ -122,10 +125,26 @@ class Localise:
         unsure = int(np.sum(~found.sure))
         if not found.sure[-1]:
             print("note: at the end the robot can be at several places, or at none of the map", file=sys.stderr)
+        for note in _off_floor(found):
+            print(f"note: {note}", file=sys.stderr)
         if unsure:
             print(f"note: {unsure} of {len(found.sure)} poses are the likeliest of several", file=sys.stderr)
         what = f"{log.name}: {len(found.poses)} scans of {robot.name} in {seconds:.1f} s"
         print(escaped(f"{what}; poses in {self.out}/trajectory.tum, picture in {self.out}/map.png"))
+
+
+def _off_floor(found: "Localised") -> dict[str, int]:
+    """A note on ways where no robot can have been."""
+    step = np.hypot(*np.diff(found.poses[:, :2], axis=0).T)
+    way = float(np.sum(step[found.off_floor[1:]]))
+    if way < _OFF_FLOOR_M:
+        return {}
+    first = int(np.argmax(found.off_floor))
+    x, y, _ = found.poses[first]
+    where = f"along {way:.1f} m, from {found.stamps[first]:.2f} s at {x:.2f}, {y:.2f} m on"
+    return {
+        f"{where}, the robot is where the map has walls or nothing: is the map of this place, is the start right?": 0
+    }
 
 
 class _Heard:

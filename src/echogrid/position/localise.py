@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from echogrid import _core
 from echogrid.frame import Frame
-from echogrid.grid import Grid
+from echogrid.grid import FREE_THRESH, Grid, logit
 from echogrid.position.localiser import Event, Localiser
 from echogrid.robot import Robot
 
@@ -24,6 +25,12 @@ class Localised:
     sure: Bool[ndarray, "frames"]
     """Whether each is of the one place that remained; else it is the likeliest."""
     events: list[Event]
+    off_floor: Bool[ndarray, "frames"]
+    """Whether each lies more than OFF_FLOOR_M from what the map knows to be free: no robot can have been there."""
+
+
+OFF_FLOOR_M = 0.1
+"""Maps are exact to some centimetres."""
 
 
 def localise(
@@ -57,7 +64,19 @@ def localise(
             _walk_back(localiser, kept, slice(begin, event.frame + 1), poses, sure)
         elif event.what == "lost":
             begin = event.frame + 1
-    return Localised(np.array([frame.stamp for frame in kept]), poses, sure, localiser.events)
+    stamps = np.array([frame.stamp for frame in kept])
+    return Localised(stamps, poses, sure, localiser.events, _off_floor(grid, poses))
+
+
+def _off_floor(grid: Grid, poses: Float[ndarray, "frames 3"]) -> Bool[ndarray, "frames"]:
+    """Which poses lie off the free floor of a map."""
+    free = grid.observed & (grid.log_odds < logit(FREE_THRESH))
+    row, col = grid.index_of(poses[:, :2]).T
+    rows, cols = grid.shape
+    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    off = np.ones(len(poses), dtype=bool)
+    off[inside] = (_core.distance(free) * grid.resolution)[row[inside], col[inside]] > OFF_FLOOR_M
+    return off
 
 
 def _walk_back(localiser: Localiser, frames: list[Frame], part: slice, poses: ndarray, sure: ndarray) -> None:
