@@ -8,8 +8,8 @@ import jaxtyping
 import pytest
 from hypothesis import settings
 
-# Array shapes in signatures are checked in all tests but those marked far; an int will do where a float is asked for
-# (PEP 484).
+# Array shapes in signatures are checked in all tests but those marked unchecked and those of whole commands, whose parts
+# have tests of their own; an int will do where a float is asked for (PEP 484).
 jaxtyping.install_import_hook("echogrid", "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
 
 # How long an example takes depends on what else the machine does. A change is judged by the same examples each time;
@@ -18,6 +18,7 @@ settings.register_profile("echogrid", deadline=None, derandomize=True, max_examp
 settings.register_profile("explore", deadline=None)
 settings.load_profile("echogrid")
 
+COMMANDS = Path(__file__).parent / "cli"
 CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")
 
 # A program that is traced twice in one run is compiled once; nothing is taken from or left for other runs.
@@ -33,7 +34,8 @@ os.environ |= {
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
-    jaxtyping.config.update("jaxtyping_disable", item.get_closest_marker("far") is not None)
+    unchecked = item.get_closest_marker("unchecked") is not None or COMMANDS in item.path.parents
+    jaxtyping.config.update("jaxtyping_disable", unchecked)
 
 
 @pytest.fixture

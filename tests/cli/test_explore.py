@@ -33,7 +33,7 @@ def test_a_room_is_explored_and_all_of_it_written(run, place):
     assert np.mean(np.abs(first.probability_at(middles) - again.probability_at(middles)) < 0.1) > 0.95
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_poses_that_it_finds_are_written_beside_those_of_its_wheels(run, place):
     out = place / "explored"
     status, _, noted = run("explore", "box.yaml", "--robot", "b21", "--seed", "2", "--slam", "--out", out)

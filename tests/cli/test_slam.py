@@ -48,7 +48,7 @@ def ape(truth: Path, found: Path) -> float:
     return error.get_statistic(metrics.StatisticsType.rmse)
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_evo_finds_the_drive_where_the_odometry_has_lost_it(mapped):
     assert {path.name for path in (mapped / "out").iterdir()} == MAP_FILES | POSES | {"map.html", "map.mcap"}
     told, found = (ape(mapped / "truth.tum", mapped / "out" / name) for name in ("odometry.tum", "trajectory.tum"))
@@ -72,7 +72,7 @@ def test_run_yaml_holds_what_was_found(mapped):
     assert set(run["odometry"]) == {"way_times", "turns_times", "heading_deg_m"}
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_it_is_said_how_far_the_odometry_was_off_and_all_is_the_same_again(run, tmp_path):
     write_csv(tmp_path / "drive.csv", drifting(200), 24)
     for folder in ("out", "again"):

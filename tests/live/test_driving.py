@@ -112,7 +112,7 @@ def underway(robot):
     pytest.fail("it never drove")
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_it_looks_round_goes_where_the_map_ends_and_no_farther(driven):
     driven.go(4.0)
     assert driven.velocity.turn > 0.2
@@ -123,7 +123,7 @@ def test_it_looks_round_goes_where_the_map_ends_and_no_farther(driven):
     assert driven.goals == []  # whoever takes them would drive as well
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_it_stops_before_what_it_hears_though_the_map_says_that_it_is_free(driven):
     driven.wall_x = 0.8
     driven.go(60.0)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from jaxtyping import config
 from numpy import inf, nan
 
 from echogrid import EchogridError, Frame, Mapper, Robot, build_map, load_log
@@ -16,6 +15,8 @@ from echogrid.cli.arguments import check_map
 from echogrid.errors import UsageError
 from echogrid.mapping.intake import cleaned, fitting
 from echogrid.models.classical.log_odds import Cone
+
+pytestmark = pytest.mark.unchecked  # types are wrong on purpose, and a program checks none either
 
 B21 = Robot.load("b21")
 CELL_M = 0.1
@@ -148,14 +149,6 @@ NO_FRAMES: dict[str, tuple[Any, str]] = {
     "nothing": (None, "found None, expected a Frame"),
     "text": ("frame", "found str 'frame', expected a Frame"),
 }
-
-
-@pytest.fixture(autouse=True, scope="module")
-def unchecked():
-    """Without the check of types in all other tests, which a program does not have either."""
-    config.update("jaxtyping_disable", True)
-    yield
-    config.update("jaxtyping_disable", False)
 
 
 def told(text):

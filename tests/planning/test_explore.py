@@ -28,7 +28,7 @@ def explored():
     return Exploration(ROOMS, B21, START, seed=1).run()
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_between_mirrors_all_of_the_floor_is_seen_nothing_touched_and_it_comes_home(explored):
     assert explored.end == "nothing that can be reached is unknown"
     assert explored.seen[-1, 2] >= 0.99

@@ -49,7 +49,7 @@ def test_a_place_that_never_shows_anything_is_left_alone_after_a_while():
     assert not np.any(drive.grid.observed[dark])
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_rims_and_corners_that_no_sonar_hears_are_not_run_after():
     dark = np.zeros((FAR, WIDE), bool)
     dark[2:4] = dark[-4:-2] = True
@@ -133,7 +133,7 @@ def test_a_robot_shut_in_on_all_sides_ends_where_it_is(turn):
     assert math.dist(drive.pose[:2], (1.05, 1.05)) < 0.15
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 @pytest.mark.parametrize("likely", [True, False])
 def test_a_door_behind_which_little_is_heard_is_gone_through_where_that_is_likely_free(likely, monkeypatch):
     solid = two_rooms()

@@ -55,7 +55,7 @@ def test_good_odometry_is_not_spoilt():
     assert trajectory_error(drive.poses, TRUTH).aligned_rms_m < 0.03
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 @pytest.mark.parametrize(("seed", "share"), [(1, 0.3), (3, 0.2)])
 def test_odometry_that_drifts_is_brought_back(seed, share):
     drive = found() if seed == 3 else slam(Log.of(posed(drifting(seed))), B21)
@@ -77,7 +77,7 @@ def test_the_first_pose_and_what_the_log_said_stay():
     assert drive.loops
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_where_the_log_begins_does_not_matter():
     to = np.array([40.0, -7.0, 2.0])
     moved = slam(Log.of(posed(compose(to, drifting()))[:SHORT]), B21)
@@ -98,7 +98,7 @@ def test_found_again_it_is_the_same_to_the_last_bit():
     assert again.loops == found_of_less().loops
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_odometry_that_starts_anew_half_way_is_one_drive():
     anew = np.concatenate([TRUTH[:300], compose(inverse(TRUTH[300]), TRUTH[300:])])
     drive = slam(Log.of(posed(anew)), B21)
@@ -107,7 +107,7 @@ def test_odometry_that_starts_anew_half_way_is_one_drive():
     assert "starts anew at 0 at 60.00 s" in note
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_a_robot_that_stands_for_a_minute_is_where_it_stood():
     stood = [replace(FRAMES[0], stamp=FRAMES[0].stamp - 60 + i / 10) for i in range(600)]
     drive = slam(Log.of(stood + FRAMES[:SHORT]), B21)
@@ -131,7 +131,7 @@ def test_where_there_is_nothing_to_find_the_odometry_stays_and_that_is_told(fram
     assert [told for told in drive.notes if told.startswith(note)]
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_a_long_way_without_an_echo_is_told():
     deaf = [replace(frame, ranges=np.full(24, np.inf)) for frame in FRAMES[100:SHORT]]
     drive = slam(Log.of(FRAMES[:100] + deaf), B21)
@@ -198,7 +198,7 @@ def test_laps_whose_walls_contradict_each_other_are_told():
     assert odds(laps(1.0, [], alike=2, against=2)) == {}
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 @pytest.mark.parametrize(("since", "share"), [(0.3, 2.0), (0.6, 0.0)])
 def test_wheels_that_slip_are_told_of(since, share):
     """For 2 m they tell of no way, or of twice as much: what cannot be mended is told, and where."""
@@ -224,7 +224,7 @@ def test_it_is_told_where_odometry_is_off_what_was_seen():
     assert _slipped(replace(drive, odometry=drive.poses * [0.7, 0.7, 1])) != {}
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_a_robot_that_is_carried_is_told_of():
     """Without a jump in the odometry: what it sees then stands where there was free floor."""
     on = np.arange(len(TRUTH)) >= 300
@@ -271,7 +271,7 @@ def off(drive):
     return trajectory_error(drive.poses, TRUTH[at]).aligned_rms_m
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_what_contradicts_itself_is_looked_at_once_more():
     drive = own(without_loops())
     before, against = off(drive), drive.compared().against.sum()

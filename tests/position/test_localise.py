@@ -182,7 +182,7 @@ def test_a_start_that_is_wrong_is_noticed(case, robot):
     assert "lost" in [event.what for event in found.events]
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_a_robot_that_is_carried_away_without_a_jump_says_so_and_is_found_again(robot):
     grid, poses = plan(8.0, 3.0), drive()
     there = poses * (1, 1, 1) + (3.0, 0, 0)  # the same way, where there is no closet

@@ -55,7 +55,7 @@ def error(poses, truth=TRUTH):
     return trajectory_error(poses, truth).aligned_rms_m
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_odometry_that_drifts_is_brought_back_while_the_robot_drives(finder):
     told = np.array([frame.pose for frame in drifting()])
     then = driven(finder, drifting())
@@ -134,7 +134,7 @@ def test_a_robot_that_gets_more_sonars_goes_on(finder):
     online.close()
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_a_long_drive_is_forgotten_where_others_saw_the_same_and_stays_right(finder, monkeypatch):
     monkeypatch.setattr("echogrid.position.growing.MOST_PIECES", 60)
     monkeypatch.setattr("echogrid.position.growing.FORGOTTEN", 12)
@@ -182,7 +182,7 @@ def test_what_fails_beside_the_driving_is_raised(finder, monkeypatch):
         driven(finder, drifting()[:200])
 
 
-@pytest.mark.far
+@pytest.mark.unchecked
 def test_the_map_is_made_anew_as_the_poses_say_now(finder):
     mapper, now = Mapper(B21), 0.0
     remapping, renewed = Remapping(finder, Mapper), 0
