@@ -8,8 +8,8 @@ import jaxtyping
 import pytest
 from hypothesis import settings
 
-# Array shapes in signatures are checked in all tests but those marked unchecked and those of whole commands, whose parts
-# have tests of their own; an int will do where a float is asked for (PEP 484).
+# Array shapes in signatures are checked in all tests but those marked unchecked and those of whole commands, whose
+# parts have tests of their own; an int will do where a float is asked for (PEP 484).
 jaxtyping.install_import_hook("echogrid", "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))")
 
 # How long an example takes depends on what else the machine does. A change is judged by the same examples each time;
