@@ -75,6 +75,14 @@ def test_swapped_and_dead_sonars_are_found():
     assert "r6: no echo ever" in " ".join(findings.of_health(found.health))
 
 
+def test_of_a_short_way_it_is_said_that_swapped_sonars_may_pass_for_other_mounts(found):
+    way = np.array([frame.pose[:2] for frame in FRAMES])
+    assert found.way_m == pytest.approx(np.sum(np.hypot(*np.diff(way, axis=0).T)))
+    short, long = (" ".join(findings.untold(replace(found, way_m=way_m))) for way_m in (9.0, 30.0))
+    assert "swapped sonars: in 9 m of way" in short
+    assert "swapped sonars" not in long
+
+
 @pytest.mark.parametrize("which", [1, 2, 5, 9])
 def test_what_is_wrong_with_the_order_or_the_mounts_comes_first(which):
     wrong = [v for v in variants(TRUE) if not v.poses][which]

@@ -78,6 +78,8 @@ class Calibration:
     """By what the spreads of places, axes and scale are multiplied: both halves of the drive differ so much more."""
     echoes: int
     """That could touch a wall."""
+    way_m: float
+    """That the robot drove."""
 
     @property
     def swapped(self) -> list[tuple[int, int]]:
@@ -154,7 +156,9 @@ def calibrate(frames: Iterable[Frame], robot: Robot) -> Calibration:
     """
     check_robot(robot)
     name = frames.name if isinstance(frames, Log) else "frames"
-    readings = gather(cleaned(list(fitting(frames, robot)), robot), robot, name)
+    kept = cleaned(list(fitting(frames, robot)), robot)
+    readings = gather(kept, robot, name)
+    way_m = float(np.sum(np.hypot(*np.diff([frame.pose[:2] for frame in kept], axis=0).T)))
     health = examine(readings)
     useful = readings.without(health.useless)
     ranks = ranked(useful, robot)
@@ -166,7 +170,7 @@ def calibrate(frames: Iterable[Frame], robot: Robot) -> Calibration:
     whole = _fitted(useful, given, parts, name, WIDER_RAD[len(FIRST) :], begin)
     inflation = _inflation(useful, given, parts, whole)
     echoes = int(np.isfinite(useful.only(parts.spans).near()).sum())
-    found = Calibration(given, given, health, ranks, taken, seat, *whole, inflation, echoes)
+    found = Calibration(given, given, health, ranks, taken, seat, *whole, inflation, echoes, way_m)
     return found if found.unsure else replace(found, robot=_robot(found))
 
 

@@ -16,6 +16,10 @@ SCALE_OFF = 0.005
 SURE = 1.96
 """Standard deviations to each side of an interval of 95 %."""
 
+SHORT_M = 15.0
+"""On a shorter way swapped sonars may not be found: of simulated drives they were not in 10 of 34 shorter ones, and
+in none of 86 longer ones."""
+
 _WIDE_RAD, _WIDE_M = np.deg2rad(5.0), 0.05
 
 
@@ -83,6 +87,8 @@ def untold(found: Calibration) -> Iterator[str]:
     if found.unsure:
         yield f"mounts, beam, range scale: {found.unsure}; left as given: drive along straight, best smooth walls"
         return
+    if found.way_m < SHORT_M and not found.swapped:
+        yield f"swapped sonars: in {found.way_m:.0f} m of way they may pass for mounts that are off: drive 30 m"
     if found.soft:
         soft = np.rad2deg(found.beams.soft)
         yield f"the beam: its edge is soft by {soft:.1f} degrees, as before rough walls; left as given"
