@@ -100,6 +100,17 @@ def test_the_right_robot_comes_first_and_nothing_is_said():
     assert not list(findings.of_order(ranks))
 
 
+@pytest.mark.parametrize(("late", "told"), [(0.5, "0.5 s after"), (-0.5, "0.5 s before"), (1.1, "1 s after")])
+def test_clocks_that_are_apart_are_told(late, told):
+    stamps = np.array([frame.stamp for frame in FRAMES])
+    poses = np.unwrap(np.array([frame.pose for frame in FRAMES]), axis=0)
+    later = np.column_stack([np.interp(stamps + late, stamps, each) for each in poses.T])
+    frames = [replace(frame, pose=pose) for frame, pose in zip(FRAMES, later, strict=True)]
+    (line,) = findings.of_order(ranked(gather(frames, TRUE), TRUE, hasty=True))
+    assert "the clocks of ranges and poses are apart" in line
+    assert told in line
+
+
 def test_a_clockwise_heading_is_told():
     frames = [replace(frame, pose=frame.pose * [1, 1, -1]) for frame in FRAMES]
     assert "theta is counted clockwise" in " ".join(findings.of_order(ranked(gather(frames, TRUE), TRUE)))

@@ -1,6 +1,9 @@
 """``map --slam``: the poses of a log are found, and written beside the map."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -9,10 +12,12 @@ from evo.core import metrics, sync
 from evo.tools.file_interface import read_tum_trajectory_file
 
 from commands import MAP_FILES, SAMPLE, assert_refused, call, put
-from echogrid.frame import Frame
+from echogrid.cli.poses import _mistake
+from echogrid.frame import Frame, Log
 from echogrid.logs.csv_log import write_csv
 from echogrid.logs.formats import load_log
 from echogrid.output.trajectory import read_tum, write_tum
+from echogrid.position.corrected import Corrected
 from echogrid.robot import Robot
 from experiments.studies.position.odometry import Odometry
 
@@ -132,3 +137,15 @@ def test_carmen_logs_have_odometry(run, tmp_path):
     log = put(tmp_path / "drive.log", "\n".join([*lines, ""]))
     assert run("map", log, "--robot", "b21", "--slam", "--out", tmp_path / "out")[0] == 0
     assert read_tum(tmp_path / "out" / "trajectory.tum")[1].shape == (80, 3)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"), [("", None), ("mirrored", "left and right are swapped"), ("late", "clocks")]
+)
+def test_a_robot_file_or_clocks_that_no_poses_mend_are_told(wrong, told):
+    robot = replace(B21, mounts=B21.mounts * [1, -1, -1]) if wrong == "mirrored" else B21
+    later = TRUE[3:] if wrong == "late" else TRUE  # some 0.6 s
+    kept = [replace(frame, odom=each.pose) for frame, each in zip(TRUE, later, strict=False)]
+    notes = list(_mistake(cast(Corrected, SimpleNamespace(log=Log.of(kept))), robot))
+    assert len(notes) == (told is not None)
+    assert all(told in note and "echogrid doctor" in note for note in notes)

@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from echogrid.calibration.readings import Readings, some, windows
 from echogrid.calibration.walls import MOST_WALLS, find
-from echogrid.geometry import compose
+from echogrid.geometry import compose, wrap
 from echogrid.robot import Robot
 
 AS_GIVEN = "as given"
@@ -44,6 +44,8 @@ class Variant:
     """Of each reading, m, m, rad."""
     poses: str = ""
     """How the poses have to be changed, of POSES; empty: not."""
+    late_s: float = 0.0
+    """So much later than the poses of the same moment the ranges come."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,9 @@ class Ranked:
 
 
 _QUARTERS = {90: "a quarter left", 180: "half round", -90: "a quarter right"}
+
+LATE_S = (0.25, 0.5, 1.0)
+"""By so much ranges may come later than poses, or sooner."""
 
 POSES = {
     "theta": np.array([1.0, 1.0, -1.0]),
@@ -102,6 +107,10 @@ def variants(robot: Robot) -> Iterator[Variant]:
                 yield Variant(f"the numbering is shifted: the first mount is that of r{first}", _at(mounts, order))
             name = f"the sonars are numbered the other way round: the first mount is that of r{order[-1]}"
             yield Variant(name, _at(mounts, order[::-1]))
+    for late in LATE_S:
+        told = f"the clocks of ranges and poses are apart: the ranges come some {late:g} s"
+        yield Variant(f"{told} after the poses, subtract that from their stamps", mounts, late_s=late)
+        yield Variant(f"{told} before the poses, add that to their stamps", mounts, late_s=-late)
     yield Variant("theta is counted clockwise: it has to be counter-clockwise", mounts, "theta")
     yield Variant("y points to the right: it has to point to the left of x", mounts, "y")
 
@@ -113,10 +122,15 @@ def _at(mounts: Float[ndarray, "sonars 3"], order: tuple[int, ...] | list[int]) 
     return out
 
 
-def ranked(readings: Readings, robot: Robot) -> list[Ranked]:
+def ranked(readings: Readings, robot: Robot, hasty: bool = False) -> list[Ranked]:
     """All variants that differ, the one of the sharpest walls first; of those alike the simplest is kept.
 
     Only the first KEPT, and that as given, are judged by all parts of the drive; the others follow, judged by a few.
+
+    Args:
+        readings: of the drive.
+        robot: as it was said to be.
+        hasty: whether what was given is believed if it comes first by a few parts.
     """
     different: list[Variant] = []
     for variant in variants(robot):
@@ -129,6 +143,8 @@ def ranked(readings: Readings, robot: Robot) -> list[Ranked]:
 
     parts = some(windows(readings), MOST_PARTS)
     first = best_first(different, some(parts, FEW_PARTS))
+    if hasty and first[0].variant.name == AS_GIVEN:
+        return first
     kept = [each.variant for i, each in enumerate(first) if i < KEPT or each.variant.name == AS_GIVEN]
     return best_first(kept, parts) + [each for each in first if not any(each.variant is one for one in kept)]
 
@@ -146,7 +162,7 @@ def judged(
 
 
 def _alike(one: Variant, other: Variant) -> bool:
-    return one.poses == other.poses and bool(
+    return (one.poses, one.late_s) == (other.poses, other.late_s) and bool(
         np.abs(one.mounts[:, :2] - other.mounts[:, :2]).max() < SAME_M
         and np.abs(np.exp(1j * one.mounts[:, 2]) - np.exp(1j * other.mounts[:, 2])).max() < SAME_M
     )
@@ -158,4 +174,16 @@ def applied(readings: Readings, robot: Robot, variant: Variant) -> tuple[Reading
 
 
 def _posed(readings: Readings, variant: Variant) -> Readings:
+    if variant.late_s:
+        return replace(readings, poses=_sooner(readings, variant.late_s))
     return replace(readings, poses=readings.poses * POSES[variant.poses]) if variant.poses else readings
+
+
+def _sooner(readings: Readings, late_s: float) -> Float[ndarray, "frames sonars 3"]:
+    """Where the robot was so much before each reading, between the poses that are known; at the ends where it was."""
+    at = np.interp(readings.stamps - late_s, readings.stamps, np.arange(len(readings.stamps)))
+    before = np.minimum(at.astype(int), max(len(at) - 2, 0))
+    after, share = np.minimum(before + 1, len(at) - 1), (at - before)[:, None, None]
+    step = readings.poses[after] - readings.poses[before]
+    step[..., 2] = wrap(step[..., 2])
+    return readings.poses[before] + share * step

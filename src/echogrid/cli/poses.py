@@ -23,12 +23,28 @@ POSE_FILES = (*TRAJECTORIES, "graph.g2o")
 
 
 def corrected(log: Log, robot: Robot) -> "Corrected":
-    """The log with the poses that are found, under progress bars."""
+    """The log with the poses that are found, under progress bars; with a note if mounts or clocks are wrong."""
     from echogrid.position.corrected import slam
 
     read = replace(log, open=lambda: shown(log, "reading"), judges=True)
     with steps("finding poses", "node") as progress:
-        return slam(read, robot, progress)
+        drive = slam(read, robot, progress)
+    if drive.found is not None:
+        drive.log.notes.update(_mistake(drive, robot))
+    return drive
+
+
+def _mistake(drive: "Corrected", robot: Robot) -> dict[str, int]:
+    """A note, if walls are sharper beyond doubt with mounts, or clocks, other than given: no poses mend that."""
+    from echogrid.calibration.readings import gather
+    from echogrid.calibration.variants import AS_GIVEN, ranked
+
+    frames = (replace(frame, pose=frame.odom) for frame in drive.log if frame.odom is not None)
+    ranks = ranked(gather(frames, robot, drive.log.name), robot, hasty=True)
+    given = next(each for each in ranks if each.variant.name == AS_GIVEN)
+    if ranks[0] is given or not ranks[0].surely_over(given):
+        return {}
+    return {f"{ranks[0].variant.name}? walls are sharper so; `echogrid doctor` says how much": 0}
 
 
 def pose_files(drive: "Corrected") -> list[str]:
