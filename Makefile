@@ -38,8 +38,8 @@ map: $(READY)  ## map the shipped sample into out/ (look at out/map.png, or out/
 	@echo "make: mapping the shipped sample, 521 scans of a B21, into out/ (some seconds)"
 	$(BIN)/echogrid map --view --out out
 
-test: $(READY)  ## run the tests (about 5 minutes on 2 cores)
-	@echo "make: running the tests, about 5 minutes on 2 cores"
+test: $(READY)  ## run the tests (7 to 9 minutes on 2 cores)
+	@echo "make: running the tests, 7 to 9 minutes on 2 cores"
 	$(BIN)/python -m pytest
 
 slow: $(READY)  ## run the tests that take a minute each, which make test leaves out
