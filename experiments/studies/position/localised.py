@@ -5,8 +5,8 @@
 CASES are recordings with ``plan.yaml`` and the place where they began (``recordings.py``: nanosmcl). Of each the mean
 distance of hits (readings of less than NEAR_M) to the walls of the plan, from the odometry laid at that place, from
 the poses tracked from there as they were known when each scan came, and from those found anywhere; and of N seeds how
-many of the last end within SAME_M of the tracked ones, how many of these are sure, and how far the robot had driven
-when it became so.
+many of the last end within SAME_M of the tracked ones, how many of these are sure and how many of the others, and how far the
+robot had driven when it became so.
 """
 
 import argparse
@@ -24,7 +24,18 @@ from experiments.studies.position.cases import Case, cases_of
 from experiments.studies.position.measures import hit_to_wall, poses_of
 
 NEAR_M, SAME_M = 2.5, 0.5
-HEADER = ("case", "m", "odometry, m", "tracked, m", "anywhere, m", "right", "sure", "of seeds", "after, m")
+HEADER = (
+    "case",
+    "m",
+    "odometry, m",
+    "tracked, m",
+    "anywhere, m",
+    "right",
+    "sure",
+    "sure elsewhere",
+    "of seeds",
+    "after, m",
+)
 
 
 def judged(case: Case, seeds: int) -> list[str]:
@@ -35,11 +46,12 @@ def judged(case: Case, seeds: int) -> list[str]:
     way = np.append(0.0, np.cumsum(np.hypot(*np.diff(given[:, :2], axis=0).T)))
     localiser = Localiser(walls, case.robot, start)
     tracked = np.array([localiser.add(frame).pose for frame in frames])
-    anywhere, after = [], []
+    anywhere, after, elsewhere = [], [], 0
     for seed in range(seeds):
         found = localise(frames, walls, case.robot, seed=seed)
         apart = float(np.hypot(*(found.poses[-1] - tracked[-1])[:2]))
         if apart > SAME_M:
+            elsewhere += int(found.sure[-1])
             continue
         anywhere.append(hit_to_wall(frames, case.robot, found.poses, walls, NEAR_M))
         if found.sure[-1]:
@@ -48,7 +60,7 @@ def judged(case: Case, seeds: int) -> list[str]:
     off = [hit_to_wall(frames, case.robot, poses, walls, NEAR_M) for poses in (odometry, tracked)]
     return [
         case.name, f"{way[-1]:.0f}", *(f"{value:.3f}" for value in off),
-        f"{np.mean(anywhere):.3f}" if anywhere else "-", str(len(anywhere)), str(len(after)), str(seeds),
+        f"{np.mean(anywhere):.3f}" if anywhere else "-", str(len(anywhere)), str(len(after)), str(elsewhere), str(seeds),
         f"{np.median(after):.1f}" if after else "-",
     ]  # fmt: skip
 
