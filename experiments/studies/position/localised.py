@@ -5,8 +5,8 @@
 CASES are recordings with ``plan.yaml`` and the place where they began (``recordings.py``: nanosmcl). Of each the mean
 distance of hits (readings of less than NEAR_M) to the walls of the plan, from the odometry laid at that place, from
 the poses tracked from there as they were known when each scan came, and from those found anywhere; and of N seeds how
-many of the last end within SAME_M of the tracked ones, how many of these are sure and how many of the others, and how far the
-robot had driven when it became so.
+many of the last end within SAME_M of the tracked ones, how many of these are sure, how many of the others, and how far
+the robot had driven when it became so.
 """
 
 import argparse
@@ -25,16 +25,8 @@ from experiments.studies.position.measures import hit_to_wall, poses_of
 
 NEAR_M, SAME_M = 2.5, 0.5
 HEADER = (
-    "case",
-    "m",
-    "odometry, m",
-    "tracked, m",
-    "anywhere, m",
-    "right",
-    "sure",
-    "sure elsewhere",
-    "of seeds",
-    "after, m",
+    *("case", "m", "odometry, m", "tracked, m", "anywhere, m"),
+    *("right", "sure", "sure elsewhere", "of seeds", "after, m"),
 )
 
 
@@ -60,7 +52,8 @@ def judged(case: Case, seeds: int) -> list[str]:
     off = [hit_to_wall(frames, case.robot, poses, walls, NEAR_M) for poses in (odometry, tracked)]
     return [
         case.name, f"{way[-1]:.0f}", *(f"{value:.3f}" for value in off),
-        f"{np.mean(anywhere):.3f}" if anywhere else "-", str(len(anywhere)), str(len(after)), str(elsewhere), str(seeds),
+        f"{np.mean(anywhere):.3f}" if anywhere else "-",
+        *(str(count) for count in (len(anywhere), len(after), elsewhere, seeds)),
         f"{np.median(after):.1f}" if after else "-",
     ]  # fmt: skip
 
