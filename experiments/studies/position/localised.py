@@ -5,8 +5,8 @@
 CASES are recordings with ``plan.yaml`` and the place where they began (``recordings.py``: nanosmcl). Of each the mean
 distance of hits (readings of less than NEAR_M) to the walls of the plan, from the odometry laid at that place, from
 the poses tracked from there as they were known when each scan came, and from those found anywhere; and of N seeds how
-many of the last end within SAME_M of the tracked ones, how many of these are sure, how many of the others, and how far
-the robot had driven when it became so.
+many of the last end within SAME_M of the tracked ones, how many of these are sure, how many of the others, and how
+far the robot had driven when it became so.
 """
 
 import argparse
