@@ -56,6 +56,7 @@ STAYS = 20
 """So many frames in a row at the far place, and the robot is taken to be there."""
 
 LEFT_OUT = "a scan left out: its pose is where no robot can have got to"
+NEVER_HEAR = "sonars never hear an echo"
 STARTS_ANEW = "did the odometry start anew? cut the log there in two"
 
 _WHOLE, _EVERY = 512, 8
@@ -352,7 +353,7 @@ class Judge:
             return {}
         more = f" and {len(dumb) - _FEW} more" if len(dumb) > _FEW else ""
         names = ", ".join(f"r{i}" for i in dumb[:_FEW]) + more
-        what = f"{len(dumb)} of {self._asked.size} sonars never hear an echo ({names})"
+        what = f"{len(dumb)} of {self._asked.size} {NEVER_HEAR} ({names})"
         why = f"the others do in {share:.0%} of their readings: are they dead? what they say counts as free floor"
         return {f"{what}, {why}; take them out of the log and the robot file": 0}
 

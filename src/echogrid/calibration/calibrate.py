@@ -18,7 +18,7 @@ from echogrid.calibration.health import Health, examine
 from echogrid.calibration.places import Axes, Places
 from echogrid.calibration.readings import WINDOW_M, Readings, gather, some, windows
 from echogrid.calibration.swaps import agreement, likely_pairs
-from echogrid.calibration.variants import AS_GIVEN, Ranked, Variant, applied, judged, ranked
+from echogrid.calibration.variants import AS_GIVEN, Ranked, Variant, applied, judged, ranked, taken
 from echogrid.calibration.walls import MOST_WALLS, find
 from echogrid.errors import InputError
 from echogrid.frame import Frame, Log
@@ -162,15 +162,15 @@ def calibrate(frames: Iterable[Frame], robot: Robot) -> Calibration:
     health = examine(readings)
     useful = readings.without(health.useless)
     ranks = ranked(useful, robot)
-    taken = _taken(ranks)
-    useful, given = applied(useful, robot, taken.variant)
+    best = taken(ranks)
+    useful, given = applied(useful, robot, best.variant)
     parts = _parts(useful, given)
     seat, begin = _seats(useful, given, parts, name)
     given = replace(given, mounts=given.mounts[seat])
     whole = _fitted(useful, given, parts, name, WIDER_RAD[len(FIRST) :], begin)
     inflation = _inflation(useful, given, parts, whole)
     echoes = int(np.isfinite(useful.only(parts.spans).near()).sum())
-    found = Calibration(given, given, health, ranks, taken, seat, *whole, inflation, echoes, way_m)
+    found = Calibration(given, given, health, ranks, best, seat, *whole, inflation, echoes, way_m)
     return found if found.unsure else replace(found, robot=_robot(found))
 
 
@@ -195,12 +195,6 @@ def _robot(found: Calibration) -> Robot:
     if found.soft:
         width = found.given.beam_width_rad
     return replace(found.given, mounts=mounts, beam_width_rad=width)
-
-
-def _taken(ranks: list[Ranked]) -> Ranked:
-    """The sharpest, if it is so beyond doubt; else what was given."""
-    given = next(each for each in ranks if each.variant.name == AS_GIVEN)
-    return ranks[0] if ranks[0].surely_over(given) else given
 
 
 def _fitted(

@@ -149,6 +149,12 @@ def ranked(readings: Readings, robot: Robot, hasty: bool = False) -> list[Ranked
     return best_first(kept, parts) + [each for each in first if not any(each.variant is one for one in kept)]
 
 
+def taken(ranks: list[Ranked]) -> Ranked:
+    """The sharpest, if it is so beyond doubt; else what was given."""
+    given = next(each for each in ranks if each.variant.name == AS_GIVEN)
+    return ranks[0] if ranks[0].surely_over(given) else given
+
+
 def judged(
     readings: Readings, variant: Variant, parts: list[slice], beam_width: float, most: int = MOST_WALLS
 ) -> Ranked:

@@ -10,6 +10,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from echogrid.cli.arguments import Ros, open_log, print_notes, robot_arg, shown
 from echogrid.cli.poses import corrected, pose_settings
+from echogrid.doubts import NEVER_HEAR
 from echogrid.errors import InputError, escaped
 from echogrid.files import made
 from echogrid.frame import Frame, Log
@@ -128,7 +129,9 @@ class Doctor:
         """Print the findings."""
         log, robot, named = open_log(self.log, self.robot, self.ros.choice())
         frames = _frames(log)
-        notes = [what + (f" ({count} times)" if count else "") for what, count in log.notes.items()]
+        # Which sonars are dead is told below, of each; variants are tried without them.
+        told = {what: count for what, count in log.notes.items() if NEVER_HEAR not in what}
+        notes = [what + (f" ({count} times)" if count else "") for what, count in told.items()]
         info = describe(Log.of(frames, log.name))
         found = [*notes, *_of_contents(info, robot), *_of_walls(frames, robot, doubtful=bool(notes))]
         if not named:

@@ -37,14 +37,13 @@ def corrected(log: Log, robot: Robot) -> "Corrected":
 def _mistake(drive: "Corrected", robot: Robot) -> dict[str, int]:
     """A note, if walls are sharper beyond doubt with mounts, or clocks, other than given: no poses mend that."""
     from echogrid.calibration.readings import gather
-    from echogrid.calibration.variants import AS_GIVEN, ranked
+    from echogrid.calibration.variants import AS_GIVEN, ranked, taken
 
     frames = (replace(frame, pose=frame.odom) for frame in drive.log if frame.odom is not None)
-    ranks = ranked(gather(frames, robot, drive.log.name), robot, hasty=True)
-    given = next(each for each in ranks if each.variant.name == AS_GIVEN)
-    if ranks[0] is given or not ranks[0].surely_over(given):
+    name = taken(ranked(gather(frames, robot, drive.log.name), robot, hasty=True)).variant.name
+    if name == AS_GIVEN:
         return {}
-    return {f"{ranks[0].variant.name}? walls are sharper so; `echogrid doctor` says how much": 0}
+    return {f"{name}? walls are sharper so; `echogrid doctor` says how much": 0}
 
 
 def pose_files(drive: "Corrected") -> list[str]:
