@@ -46,6 +46,18 @@ def test_doctor_tells_mirrored_mounts(folder, run):
     assert "1 finding in" in out
 
 
+def test_doctor_tells_of_dead_sonars_once_and_of_mirrored_mounts_besides(folder, run, tmp_path):
+    def change(ranges):
+        ranges[:, [1, 6]] = np.inf
+        return ranges
+
+    write_csv(tmp_path / "dead.csv", iter(changed(frames_of(ring()), change)), ring().sonars)
+    _, out, _ = run("doctor", tmp_path / "dead.csv", "--robot", folder / "mirrored.yaml")
+    assert "found: r1, r6: no echo ever" in out
+    assert "found: left and right are swapped" in out
+    assert "2 findings in" in out
+
+
 def test_doctor_tells_what_is_noted_of_a_log(folder, run, tmp_path):
     far = changed(frames_of(ring()), lambda ranges: np.full_like(ranges, 9.0))
     write_csv(tmp_path / "far.csv", iter(far), ring().sonars)

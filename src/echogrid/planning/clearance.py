@@ -113,6 +113,15 @@ class Floor:
         """What the robot's middle keeps from what is in its way, m."""
         return self.radius_m + self.margin_m
 
+    def short_m(self, cells: Int[ndarray, "n 2"], deaf_m: float) -> Float[ndarray, "n"]:
+        """How much too near to what is not known to be free the robot is in cells to hear it, m.
+
+        Args:
+            cells: [row, col].
+            deaf_m: so far from its footprint it hears nothing.
+        """
+        return np.maximum(self.radius_m + deaf_m - self.known_m[tuple(cells.T)], 0)
+
     @cached_property
     def known_costs(self) -> Float32[ndarray, "rows cols"]:
         """``costs`` where what is unknown is closed."""

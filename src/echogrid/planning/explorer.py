@@ -345,7 +345,7 @@ class Explorer:
         cells, places = cells[fits], places[fits]
         before = np.array(self._looks)
         apart = np.min(np.linalg.norm(places[:, None] - before, axis=2), axis=1)
-        short = np.maximum(floor.radius_m + self.robot.deaf_m - floor.known_m[tuple(cells.T)], 0)
+        short = floor.short_m(cells, self.robot.deaf_m)
         best = int(np.argmax(apart - 0.3 * found.to_go[tuple(cells.T)] - short))
         row, col = cells[best].tolist()
         self._looks.append(places[best])

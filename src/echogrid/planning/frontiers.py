@@ -137,11 +137,9 @@ def _stand(floor: Floor, robot: Robot, edge: Int[ndarray, "2"], reach: Bool[ndar
     first, last = np.maximum(edge - by, 0), np.minimum(edge + by + 1, floor.grid.shape)
     near = np.argwhere(reach[first[0] : last[0], first[1] : last[1]]) + first
     off = np.linalg.norm(near - edge, axis=1) * floor.grid.resolution
-    short = np.maximum(floor.radius_m + robot.deaf_m - floor.known_m[tuple(near.T)], 0)
-    near = near[off <= STAND_M]
+    near, off = near[off <= STAND_M], off[off <= STAND_M]
     # Each centimetre of range is worth two of way.
-    order = np.argsort((off + 2 * short)[off <= STAND_M], kind="stable")
-    for cell in near[order]:
+    for cell in near[np.argsort(off + 2 * floor.short_m(near, robot.deaf_m), kind="stable")]:
         between = np.rint(np.linspace(edge, cell, 2 * by + 1)).astype(int)
         if reach[tuple(between.T)].all():
             row, col = cell.tolist()
