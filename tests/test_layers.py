@@ -25,7 +25,7 @@ PLAN = {
     "paper_network paper_layers",
     "mapping": "registry intake mapper build",
     "position": "motion graph matching echoes walls pieces bends contradictions drive slam forgetting growing beside "
-    "online remapping odometry corrected particles beams sights usual floor localiser localise",
+    "online remapping odometry corrected particles beams sights usual floor localiser hypotheses localise",
     "calibration": "readings walls places beams health variants swaps calibrate findings",
     "planning": "clearance paths following frontiers asides explorer guiding nearby placing explore",
     "training": "drives gradient_descent paper_examples paper_training set_lessons map_lessons map_training "

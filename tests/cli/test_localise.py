@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from commands import SAMPLE, assert_refused, everything, put
-from echogrid import load_log, read_map, write_map
+from echogrid import Grid, load_log, read_map, write_map
 from echogrid.logs.csv_log import write_csv
 from echogrid.output.trajectory import read_tum
 
@@ -104,3 +104,16 @@ def test_a_drive_through_walls_is_told(run, house, tmp_path):
         "where the map has walls" in told
         for told in yaml.safe_load((tmp_path / "found" / "run.yaml").read_text())["notes"]
     )
+
+
+def test_a_map_that_hardly_explains_what_is_heard_is_told(run, house, tmp_path):
+    """A room of the same size as the sample's, but empty."""
+    cells = np.ones((120, 120), dtype=bool)
+    cells[10:-10, 10:-10] = False
+    grid = Grid(np.where(cells, 3.0, -3.0).astype(np.float32), np.ones_like(cells), 0.05, (-3.0, -3.0))
+    write_map(tmp_path / "room", grid, np.zeros((1, 2)), {}, "room")
+    for place, told in ((tmp_path / "room", 1), (house, 0)):
+        x, y, theta = next(iter(load_log(str(SAMPLE)))).pose if place == house else (0.0, 0.0, 0.0)
+        start = f"--start={x:.2f},{y:.2f},{np.rad2deg(theta):.1f}"
+        _, _, noted = run("localise", SAMPLE, "--robot", "b21", "--map", place, start, "--out", tmp_path / "found")
+        assert noted.count("note: what is heard agrees little with the map") == told

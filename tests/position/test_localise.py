@@ -11,7 +11,9 @@ from echogrid.errors import UsageError
 from echogrid.geometry import compose, inverse, wrap
 from echogrid.grid import logit
 from echogrid.position.beams import REACH_M, Beams
+from echogrid.position.hypotheses import Hypotheses, same_place
 from echogrid.position.localise import _off_floor
+from echogrid.position.localiser import FAIR
 from echogrid.position.particles import Particles
 from echogrid.position.usual import Usual
 from echogrid.robot import parse_robot
@@ -284,3 +286,61 @@ def test_fewer_places_need_fewer_particles():
     near = Particles(rng.normal(0, 0.05, (5000, 3)), np.zeros(5000)).wanted(500, 100_000)
     far = Particles(rng.normal(0, 3, (5000, 3)), np.zeros(5000)).wanted(500, 100_000)
     assert near <= 1500 < far
+
+
+def test_heaps_of_particles_are_found_the_heaviest_first():
+    rng = np.random.default_rng(0)
+    middles = np.array([(0.0, 0.0, 0.0), (3.0, 0.0, 0.0), (0.0, 0.0, np.pi)])
+    counts = [600, 300, 100]
+    heaps = [middle + 0.05 * rng.standard_normal((n, 3)) for middle, n in zip(middles, counts, strict=True)]
+    poses = np.concatenate(heaps)
+    particles = Particles(poses, np.zeros(1000))
+    found = particles.places((0.5, 0.4), 5, 0.05)
+    np.testing.assert_allclose([place.share for place in found], [0.6, 0.3, 0.1])
+    np.testing.assert_allclose([place.pose[:2] for place in found], middles[:, :2], atol=0.02)
+    assert len(particles.places((0.5, 0.4), 5, 0.2)) == 2
+    assert particles.places((0.5, 0.4), 1, 0.9)[0].share == pytest.approx(0.6)
+
+
+@pytest.fixture(scope="module")
+def noted(case, robot) -> Hypotheses:
+    """Places that a localiser thought possible in the first metres of the drive."""
+    grid, _, log = case
+    localiser, found, pieces = Localiser(grid, robot), Hypotheses(), 0
+    for k, frame in enumerate(log):
+        localiser.add(frame)
+        if localiser.sure:
+            break
+        if localiser.pieces > pieces:
+            found.note(localiser, k)
+        pieces = localiser.pieces
+    return found
+
+
+def test_of_several_ways_the_one_is_taken_that_explains_the_whole_drive(case, robot, noted):
+    grid, poses, log = case
+    way = noted.likeliest(Localiser(grid, robot), log)
+    assert off(way.poses, poses).max() < 0.3
+    assert way.fair
+
+
+def test_a_place_that_seemed_sure_is_given_up_where_another_explains_more(case, robot, noted):
+    grid, poses, log = case
+    wrong = (100, np.array([2.0, 1.5, 2.0]))
+    way = noted.likeliest(Localiser(grid, robot), log, wrong)
+    assert not same_place(way.poses[100], wrong[1])
+    assert off(way.poses, poses).max() < 0.3
+    right = noted.likeliest(Localiser(grid, robot), log, (100, poses[100]))
+    assert same_place(right.poses[100], poses[100])
+
+
+def test_in_the_map_of_another_place_none_is_sure_and_little_agrees(case, robot):
+    _, poses, log = case
+    other = plan(3.5, 3.5)
+    assert not localise(log, other, robot, seed=1).sure.any()
+    there, here = localise(log, other, robot, (1.0, 1.0, 0.0)), localise(log, case[0], robot, poses[0])
+    assert there.agreement < FAIR < here.agreement / 1.5
+
+
+def test_places_of_no_drive_have_no_way(case, robot):
+    assert Hypotheses().likeliest(Localiser(case[0], robot), case[2]) is None

@@ -1,7 +1,7 @@
 """Where a robot was in a map that is known: a drive at once, backwards too."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -10,6 +10,7 @@ from numpy import ndarray
 from echogrid import _core
 from echogrid.frame import Frame
 from echogrid.grid import FREE_THRESH, Grid, logit
+from echogrid.position.hypotheses import Hypotheses, same_place
 from echogrid.position.localiser import Event, Localiser
 from echogrid.robot import Robot
 
@@ -27,10 +28,29 @@ class Localised:
     events: list[Event]
     off_floor: Bool[ndarray, "frames"]
     """Whether each lies more than OFF_FLOOR_M from what the map knows to be free: no robot can have been there."""
+    agreement: float = np.nan
+    """As of ``Localiser``; less than FAIR is little."""
 
 
 OFF_FLOOR_M = 0.1
 """Maps are exact to some centimetres."""
+
+
+_PER_M2 = 1200.0
+"""Particles to begin with anywhere: more than live there is time for."""
+
+
+@dataclass
+class _Stretch:
+    """Frames from where the place is anyone, or a start that is given, until it is so again."""
+
+    begin: int
+    end: int
+    """Number of the frame behind the last."""
+    sure: int | None = None
+    """Number of the frame at which one place remained of several."""
+    possible: Hypotheses = field(default_factory=Hypotheses)
+    """Places before that."""
 
 
 def localise(
@@ -42,6 +62,8 @@ def localise(
 ) -> Localised:
     """Where a robot was in a map, frame by frame; once a place is sure, so is the way that led there.
 
+    Where none became sure each way that the drive may have taken is judged by all that was heard.
+
     Args:
         frames: of a log, with poses by odometry.
         grid: the map.
@@ -52,20 +74,51 @@ def localise(
     Raises:
         UsageError: as of ``Localiser`` and its ``add``.
     """
-    localiser, kept, found = Localiser(grid, robot, start, seed), [], []
-    for frame in frames:
+    localiser, kept, found, driven = Localiser(grid, robot, start, seed, _PER_M2), [], [], []
+    stretches, told, pieces = [_Stretch(0, 0)], 0, 0
+    for k, frame in enumerate(frames):
         kept.append(frame)
         found.append(localiser.add(frame))
+        driven.append(localiser.driven_m)
+        for event in localiser.events[told:]:
+            if event.what == "sure":
+                stretches[-1].sure = k
+            elif event.what != "jump":
+                stretches[-1].end = k + (event.what == "lost")
+                stretches.append(_Stretch(stretches[-1].end, 0))
+        if localiser.pieces > pieces and not localiser.sure:
+            stretches[-1].possible.note(localiser, k - stretches[-1].begin)
+        told, pieces = len(localiser.events), localiser.pieces
+    stretches[-1].end = len(kept)
     poses = np.array([each.pose for each in found]).reshape(-1, 3)
     sure = np.array([each.sure for each in found], dtype=bool)
-    begin = 0
-    for event in localiser.events:
-        if event.what == "sure":
-            _walk_back(localiser, kept, slice(begin, event.frame + 1), poses, sure)
-        elif event.what == "lost":
-            begin = event.frame + 1
+    events = list(localiser.events)
+    for part in stretches:
+        if part.sure is not None:
+            _walk_back(localiser, kept, slice(part.begin, part.sure + 1), poses, sure)
+            if _upheld(localiser, kept, part, poses):
+                continue
+            events = [event for event in events if (event.what, event.frame) != ("sure", part.sure)]
+        elif sure[part.begin : part.end].any():
+            continue
+        whole = slice(part.begin, part.end)
+        way = part.possible.likeliest(localiser, kept[whole])
+        sure[whole] = way is not None and way.fair and way.alone
+        if way is not None:
+            poses[whole] = way.poses
+        if sure[whole].any():
+            events.append(Event("sure", kept[part.end - 1].stamp, driven[part.end - 1], part.end - 1))
+    events.sort(key=lambda event: event.frame)
     stamps = np.array([frame.stamp for frame in kept])
-    return Localised(stamps, poses, sure, localiser.events, _off_floor(grid, poses))
+    return Localised(stamps, poses, sure, events, _off_floor(grid, poses), localiser.agreement)
+
+
+def _upheld(localiser: Localiser, frames: list[Frame], part: _Stretch, poses: Float[ndarray, "frames 3"]) -> bool:
+    """Whether the place that remained explains most, judged by as much again as led to it."""
+    assert part.sure is not None
+    at, end = part.sure - part.begin, min(part.end, 2 * part.sure - part.begin + 1)
+    way = part.possible.likeliest(localiser, frames[part.begin : end], (at, poses[part.sure]))
+    return way is None or (way.fair and same_place(way.poses[at], poses[part.sure]))
 
 
 def _off_floor(grid: Grid, poses: Float[ndarray, "frames 3"]) -> Bool[ndarray, "frames"]:

@@ -42,7 +42,7 @@ _THROUGH = 4.0
 _POINTS, _POINTS_MANY, _MANY = 500, 300, 5000
 """Points of a sight; of so many particles fewer will do."""
 
-_LEAST, _MOST, _PER_M2 = 1000, 100_000, 400
+_LEAST, _MOST, PER_M2 = 1000, 200_000, 400.0
 """Particles: at least, at most, and to begin with where the place is not known."""
 
 _PER_M2_RIVALS, _MOST_RIVALS = 80, 8_000
@@ -51,11 +51,15 @@ _PER_M2_RIVALS, _MOST_RIVALS = 80, 8_000
 START_SPREAD = np.array([0.15, 0.15, np.deg2rad(7.0)])
 """Standard deviations of a start that is given, m, m, rad."""
 
-_HEAP_M, _HEAP_RAD = 0.5, np.deg2rad(25.0)
+HEAP_M, HEAP_RAD = 0.5, np.deg2rad(25.0)
 """Particles within this of their middle are at one place."""
 
 _SURE, _FOR, _LEAST_WAY_M = 0.98, 4, 2.0
 """The place is sure when this share of all weight has been at one for so many pieces, and so long a way."""
+
+FAIR = 0.2
+"""Mean agreement of what is seen with a map (as of ``Ground``) below which no place found counts as sure: it was .28
+to .44 where the place is right, .21 to .27 in a plan without its furniture, up to .2 in maps of other buildings."""
 
 _STILL_HERE = 0.2
 """Share of the weight that stays at a place that was doubted: it may be right, and the world have changed."""
@@ -104,7 +108,12 @@ class Localiser:
     """
 
     def __init__(
-        self, grid: Grid, robot: Robot, start: Float[ndarray, "3"] | Sequence[float] | None = None, seed: int = 0
+        self,
+        grid: Grid,
+        robot: Robot,
+        start: Float[ndarray, "3"] | Sequence[float] | None = None,
+        seed: int = 0,
+        per_m2: float = PER_M2,
     ) -> None:
         """A robot that has not moved.
 
@@ -113,6 +122,7 @@ class Localiser:
             robot: the robot.
             start: about where it stands in the map, m, m, rad; None: anywhere.
             seed: of the particles; the same one gives the same poses.
+            per_m2: particles to begin with where the place is not known.
 
         Raises:
             UsageError: no such robot, a map without floor, or a start that is not on its floor.
@@ -124,28 +134,32 @@ class Localiser:
         self._floor, self._floor_m2 = grid.centre_of(floor), len(floor) * grid.resolution**2
         self._grid, self._cell = grid, grid.resolution
         self._ground, self._beams, self._walls = Ground(grid), Beams(grid, robot), Walls(grid, _PIECE_M)
-        self._seed, self._rng = seed, np.random.default_rng(seed)
+        self._seed, self._rng, self._per_m2 = seed, np.random.default_rng(seed), per_m2
         self._usual = Usual()
         self.events: list[Event] = []
         """What happened so far."""
         self._frames: deque[Frame] = deque(maxlen=_MOST_FRAMES * 16)
         self._last: Frame | None = None
         self._count, self._driven = 0, 0.0
+        self._pieces, self._explained, self._agreed = 0, 0.0, np.zeros(2)
         self._start = None if start is None else np.asarray(start, dtype=float)
         self.begin(self._start)
 
     def _gather(self, start: Float[ndarray, "3"], spread: Float[ndarray, "3"] = START_SPREAD) -> None:
         """Be near a pose, with standard deviations as given (m, m, rad)."""
         self._particles = self._guesses(start + self._rng.standard_normal((2 * _LEAST, 3)) * spread)
-        self._sure, self._certain, self._bad = True, _FOR, 0
+        self._sure, self._certain, self._alone, self._bad = True, _FOR, np.zeros(2), 0
         self._begin_rivals()
         self._place = Place(start, np.diag(spread**2), 1.0)
 
     def _spread(self) -> None:
         """Be anywhere on the floor."""
-        self._particles = self._guesses(self._anywhere(int(np.clip(_PER_M2 * self._floor_m2, 2 * _LEAST, _MOST))))
-        self._sure, self._certain, self._bad, self._since = False, 0, 0, self._driven
-        self._place = self._particles.place((_HEAP_M, _HEAP_RAD))
+        self._particles = self._guesses(
+            self._anywhere(int(np.clip(self._per_m2 * self._floor_m2, 2 * _LEAST, _MOST)))
+        )
+        self._sure, self._certain, self._alone, self._bad = False, 0, np.zeros(2), 0
+        self._since = self._driven
+        self._place = self._particles.place((HEAP_M, HEAP_RAD))
 
     def _doubt(self) -> None:
         """Be anywhere on the floor, or still here."""
@@ -197,21 +211,46 @@ class Localiser:
         self._frames.clear()
         self._robot, self._beams = robot, Beams(self._grid, robot)
 
-    def at(self, pose: Float[ndarray, "3"]) -> "Localiser":
-        """Another localiser in the same map, whose robot stands at a pose (m, m, rad)."""
+    def at(self, pose: Float[ndarray, "3"], spread: Float[ndarray, "3"] = START_SPREAD) -> "Localiser":
+        """Another localiser in the same map, whose robot stands at a pose, with standard deviations (m, m, rad)."""
         other = copy(self)
         other._rng = np.random.default_rng(self._seed)
         other._usual = Usual()
         other.events, other._frames, other._last = [], deque(maxlen=self._frames.maxlen), None
         other._count, other._driven = 0, 0.0
+        other._pieces, other._explained, other._agreed = 0, 0.0, np.zeros(2)
         other._begin_piece()
-        other._gather(pose)
+        other._gather(pose, spread)
         return other
 
     @property
     def sure(self) -> bool:
         """Whether one place remains."""
         return self._sure
+
+    @property
+    def driven_m(self) -> float:
+        """Length of the way since the first frame."""
+        return self._driven
+
+    @property
+    def pieces(self) -> int:
+        """How often what was seen has been weighed."""
+        return self._pieces
+
+    @property
+    def explained(self) -> float:
+        """How well the place has agreed with all that was seen, as a log-likelihood; drives can be compared by it."""
+        return self._explained
+
+    @property
+    def agreement(self) -> float:
+        """Mean agreement, as of ``Ground``, of what was seen while the place was sure with the map there.
+
+        Less than FAIR is little; nan where nothing was seen.
+        """
+        agreed, strength = self._agreed
+        return float(agreed / strength) if strength > 0 else np.nan
 
     @property
     def particles(self) -> Particles:
@@ -264,19 +303,22 @@ class Localiser:
         through = self._move(particles)
         barred = self._move(rivals) if rivals is not None else np.zeros(0, dtype=bool)
         groups = [particles.poses, self._anywhere(_AT_RANDOM), *([] if rivals is None else [rivals.poses])]
-        evidence = self._evidence(np.concatenate(groups))
+        ground, strength, evidence = self._evidence(np.concatenate(groups))
         here, elsewhere, there = np.split(evidence, [len(particles), len(particles) + _AT_RANDOM])
         passed = float(particles.weights @ through)
         particles.reweight(here * (1.0 if self._sure else _TEMPER) - _THROUGH * through)
         chance = float(np.quantile(elsewhere, _CHANCE))
         agreement = float(particles.weights @ here)
+        agreed = np.array([particles.weights @ ground[: len(particles)], strength])
         agrees = bool(passed < 0.5 and agreement > chance) and not self._usual.poor(agreement)
         if particles.effective() < len(particles) / 2:
             particles.resample(_LEAST, _MOST, rng)
-        self._place = particles.place((_HEAP_M, _HEAP_RAD))
+        self._place = particles.place((HEAP_M, HEAP_RAD))
         self._frames.clear()
+        self._pieces, self._explained = self._pieces + 1, self._explained + agreement - _THROUGH * passed
+        self._agreed = self._agreed + agreed * self._sure
         if np.ptp(evidence) > 0:  # else it saw nothing
-            self._judge(agrees)
+            self._judge(agrees, agreed)
             if self._sure and agrees:
                 self._usual.add(agreement)
         if rivals is not None and self._sure:
@@ -300,13 +342,13 @@ class Localiser:
         assert frame is not None
         if rivals.effective() < len(rivals) / 2:
             rivals.resample(_LEAST, _MOST_RIVALS, self._rng)
-        place = rivals.place((_HEAP_M, _HEAP_RAD))
+        place = rivals.place((HEAP_M, HEAP_RAD))
         self._better = 0.7 * self._better + better
         self._found = self._found + 1 if place.share >= _SURE else 0
         if self._found < 2 * _FOR:
             return
         off = np.hypot(*(place.pose - self._place.pose)[:2])
-        if off > 2 * _HEAP_M and self._better > 0:
+        if off > 2 * HEAP_M and self._better > 0:
             self._note("lost", frame)
             self._particles, self._place, self._bad = rivals, place, 0
             self._note("sure", frame)
@@ -317,33 +359,41 @@ class Localiser:
         count = int(np.clip(_PER_M2_RIVALS * self._floor_m2, 2 * _LEAST, _MOST_RIVALS))
         self._rivals, self._found, self._better = self._guesses(self._anywhere(count)), 0, 0.0
 
-    def _evidence(self, poses: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
-        """Log-likelihood of what the piece saw from poses at its end."""
+    def _evidence(self, poses: Float[ndarray, "n 3"]) -> tuple[Float[ndarray, "n"], float, Float[ndarray, "n"]]:
+        """Agreement of the piece's sight from poses at its end, its strength, and log-likelihood of all it heard."""
         frames = list(self._frames)
-        seen = _evenly(frames, _MOST_FRAMES)
         points = _POINTS if len(poses) < _MANY else _POINTS_MANY
-        evidence = _SHARP * self._ground.agreement(sight(seen, self._robot, self._model, points, self._rng), poses)
+        seen = sight(_evenly(frames, _MOST_FRAMES), self._robot, self._model, points, self._rng)
+        ground = self._ground.agreement(seen, poses)
+        evidence = _SHARP * ground
         end = inverse(frames[-1].pose)
         for frame in _evenly(frames, _SCANS):
             mounts = self._robot.mounts if frame.mounts is None else frame.mounts
             mounts = compose(compose(end, frame.pose), mounts)
             evidence += _SHARP_BEAMS * self._beams.log_likelihood(poses, frame.ranges, mounts)
-        return evidence
+        return ground, seen.strength, evidence
 
-    def _judge(self, agrees: bool) -> None:
-        """Whether one place remains, and explains what is seen."""
+    def _judge(self, agrees: bool, agreed: Float[ndarray, "2"]) -> None:
+        """Whether one place remains, and explains what is seen.
+
+        Args:
+            agrees: whether it explains the last piece.
+            agreed: how well the piece's sight agrees with the map there, and the sight's strength.
+        """
         frame = self._last
         assert frame is not None
         alone = self._place.share >= _SURE
         self._certain = self._certain + 1 if alone and agrees else 0
+        self._alone = self._alone + agreed if alone else np.zeros(2)
+        fair = self._alone[0] >= FAIR * self._alone[1]
         self._bad = max(0, self._bad - 1) if agrees else self._bad + alone
         if self._bad >= _LOST:
             self._note("lost", frame)
             self._doubt()
-        elif not self._sure and self._certain >= _FOR and self._driven - self._since >= _LEAST_WAY_M:
+        elif not self._sure and fair and self._certain >= _FOR and self._driven - self._since >= _LEAST_WAY_M:
             self._sure = True
             self._begin_rivals()
-            self._particles.keep(self._place, (_HEAP_M, _HEAP_RAD))
+            self._particles.keep(self._place, (HEAP_M, HEAP_RAD))
             self._note("sure", frame)
 
 

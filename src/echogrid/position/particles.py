@@ -122,20 +122,24 @@ class Particles:
 
     def place(self, within: tuple[float, float]) -> Place:
         """The heaviest heap: what lies within so far (m, rad) of its middle."""
-        w, poses = self.weights, self.poses
-        bins = np.floor(poses / (2 * BIN_M, 2 * BIN_M, 2 * BIN_RAD)).astype(np.int64) @ np.array([1 << 32, 1 << 8, 1])
-        _, which = np.unique(bins, return_inverse=True)
-        heaviest = which == np.argmax(np.bincount(which, weights=w))
-        middle, near = _mean(poses[heaviest], w[heaviest]), heaviest
-        for _ in range(3):
-            near = _near(poses, middle, within)
-            if not near.any():  # two heaps whose middle is at neither
-                near = heaviest
-            middle = _mean(poses[near], w[near])
-        off = poses[near] - middle
-        off[:, 2] = wrap(off[:, 2])
-        share = float(w[near].sum())
-        return Place(middle, np.einsum("n,ni,nj->ij", w[near] / share, off, off), share)
+        return self.places(within, 1, 0.0)[0]
+
+    def places(self, within: tuple[float, float], most: int, least: float) -> list[Place]:
+        """Heaps, the heaviest first: at most so many, each of at least so great a share.
+
+        Args:
+            within: what lies so far (m, rad) from the middle of a heap belongs to it.
+            most: heaps.
+            least: share of the weight; the heaviest is there whatever it has.
+        """
+        found, left = [], self.weights > 0
+        while len(found) < most and left.any():
+            place, near = _heaviest(self.poses[left], self.weights[left], within)
+            if found and place.share < least:
+                break
+            found.append(place)
+            left[np.flatnonzero(left)[near]] = False
+        return found
 
 
 def _near(
@@ -149,3 +153,22 @@ def _mean(poses: Float[ndarray, "n 3"], weights: Float[ndarray, "n"]) -> Float[n
     w = weights / weights.sum()
     x, y = w @ poses[:, :2]
     return np.array([x, y, np.arctan2(w @ np.sin(poses[:, 2]), w @ np.cos(poses[:, 2]))])
+
+
+def _heaviest(
+    poses: Float[ndarray, "n 3"], w: Float[ndarray, "n"], within: tuple[float, float]
+) -> tuple[Place, Bool[ndarray, "n"]]:
+    """The heaviest heap of particles, and which of them are of it."""
+    bins = np.floor(poses / (2 * BIN_M, 2 * BIN_M, 2 * BIN_RAD)).astype(np.int64) @ np.array([1 << 32, 1 << 8, 1])
+    _, which = np.unique(bins, return_inverse=True)
+    heaviest = which == np.argmax(np.bincount(which, weights=w))
+    middle, near = _mean(poses[heaviest], w[heaviest]), heaviest
+    for _ in range(3):
+        near = _near(poses, middle, within)
+        if not near.any():  # two heaps whose middle is at neither
+            near = heaviest
+        middle = _mean(poses[near], w[near])
+    off = poses[near] - middle
+    off[:, 2] = wrap(off[:, 2])
+    share = float(w[near].sum())
+    return Place(middle, np.einsum("n,ni,nj->ij", w[near] / share, off, off), share), near
