@@ -1,3 +1,4 @@
+import gtsam
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -116,3 +117,31 @@ def test_covariances_are_those_of_the_dense_inverse():
     got = found.covariance([2, 5])
     np.testing.assert_allclose(got[0, 0], expected[3:6, 3:6], rtol=1e-4, atol=1e-7)
     np.testing.assert_allclose(got[0, 1], expected[3:6, 12:15], rtol=1e-4, atol=1e-7)
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.integers(0, 10_000))
+def test_poses_and_covariances_are_those_that_gtsam_finds(seed):
+    rng = np.random.default_rng(seed)
+    poses, edges = loop_of(rng, 30, noise=0.01)
+    start = poses + rng.normal(0, 0.05, poses.shape)
+    start[0] = poses[0]
+    known, first_guess = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    known.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*poses[0]), gtsam.noiseModel.Isotropic.Precision(3, 1e9)))
+    for i, j, measured, information in zip(*edges[:4], strict=True):
+        noise = gtsam.noiseModel.Gaussian.Information(information)
+        known.add(gtsam.BetweenFactorPose2(int(i), int(j), gtsam.Pose2(*measured), noise))
+    for i, pose in enumerate(start):
+        first_guess.insert(i, gtsam.Pose2(*pose))
+    theirs = gtsam.LevenbergMarquardtOptimizer(known, first_guess).optimize()
+    at = [theirs.atPose2(i) for i in range(len(poses))]
+    expected = np.array([(pose.x(), pose.y(), pose.theta()) for pose in at])
+    found = graph.solve(start, edges, np.zeros(0), np.zeros(0), rounds=50, tolerance=1e-8)
+    off, wrong = found.poses - expected, found.poses - poses
+    off[:, 2], wrong[:, 2] = wrap(off[:, 2]), wrap(wrong[:, 2])
+    # its residuals are logarithms of poses, which differ from ours by squares of what is small
+    assert np.abs(off).max() < 0.02 * np.abs(wrong).max()
+    turned = np.eye(3)
+    turned[:2, :2] = at[20].rotation().matrix()
+    told = turned @ gtsam.Marginals(known, theirs).marginalCovariance(20) @ turned.T  # from its own frame
+    np.testing.assert_allclose(found.covariance([20])[0, 0], told, rtol=0.02, atol=0.02 * told.max())
