@@ -39,8 +39,8 @@ DATA = Path(__file__).parents[4] / "shared" / "data"
 STARTS = {"S6": (0.90, 0.12, 355.0), "S8": (-2.4, -0.2, 85.0), "S11": (2.98, -2.12, 111.0)}
 """Where the origin of the odometry of nanosmcl lies in the plan: m, m, degrees.
 
-S6 and S11 as its README has them; that of S8 is another one: from where that lays it 28 % of its rays go through walls,
-and of its hits in what S11 saw 9 % lie on free floor (here 12 and 3 %)."""
+S6 and S11 as its README has them; that of S8 is another one. From where it is laid there 28 % of its rays go through
+walls, and of its hits in what S11 saw 9 % lie on free floor (here 12 and 3 %)."""
 _MIDDLE_ROWS = (3, 4)
 """Of the eight rows of zones to the front: those that look neither up nor down."""
 
