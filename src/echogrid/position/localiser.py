@@ -58,8 +58,8 @@ _SURE, _FOR, _LEAST_WAY_M = 0.98, 4, 2.0
 """The place is sure when this share of all weight has been at one for so many pieces, and so long a way."""
 
 FAIR = 0.2
-"""Mean agreement of what is seen with a map (as of ``Ground``) below which no place found counts as sure: it was .28
-to .44 where the place is right, .21 to .27 in a plan without its furniture, up to .2 in maps of other buildings."""
+"""Mean agreement of what is seen with a map (as of ``Ground``) below which no place found counts as sure: it was .24
+to .47 where the place is right, .19 to .27 in a plan without its furniture, up to .2 in maps of other buildings."""
 
 _STILL_HERE = 0.2
 """Share of the weight that stays at a place that was doubted: it may be right, and the world have changed."""
