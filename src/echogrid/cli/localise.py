@@ -114,17 +114,19 @@ class Localise:
         settings = asdict(self) | {"log": log.name, "robot": robot_yaml(robot), "frames": len(found.poses)}
         events = [event._asdict() | {"place": found.poses[event.frame].round(4)} for event in found.events]
         settings |= {"frames_not_sure": int(np.sum(~found.sure)), "events": events}
-        return settings | {"notes": log.notes | _off_floor(found) | self._foreign(found)}
+        return settings | {"notes": log.notes | self._doubts(found)}
 
-    def _foreign(self, found: "Localised") -> dict[str, int]:
-        """A note on a start where the map hardly explains what was heard."""
+    def _doubts(self, found: "Localised") -> dict[str, int]:
+        """Notes on ways where no robot can have been, and on a start where the map hardly explains what was heard."""
         from echogrid.position.localiser import FAIR
 
         if self.anywhere or not found.agreement < FAIR:
-            return {}
+            return _off_floor(found)
         little = f"({found.agreement:.2f} of {FAIR:.2f})"
         what = f"what is heard agrees little with the map where the robot is laid {little}"
-        return {f"{what}: is the map of this place, whole, and with its furniture, is the start right?": 0}
+        return _off_floor(found) | {
+            f"{what}: is the map of this place, whole, and with its furniture, is the start right?": 0
+        }
 
     def _report(self, log: Log, robot: Robot, found: "Localised", seconds: float) -> None:
         for event in found.events:
@@ -135,7 +137,7 @@ class Localise:
         unsure = int(np.sum(~found.sure))
         if not found.sure[-1]:
             print("note: at the end the robot can be at several places, or at none of the map", file=sys.stderr)
-        for note in _off_floor(found) | self._foreign(found):
+        for note in self._doubts(found):
             print(f"note: {note}", file=sys.stderr)
         if unsure:
             print(f"note: {unsure} of {len(found.sure)} poses are the likeliest of several", file=sys.stderr)

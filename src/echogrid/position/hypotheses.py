@@ -8,8 +8,8 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.frame import Frame
-from echogrid.geometry import wrap
 from echogrid.position.localiser import FAIR, HEAP_M, HEAP_RAD, START_SPREAD, Localiser
+from echogrid.position.particles import Place, near_to
 
 _HEAPS, _LEAST_SHARE = 6, 0.003
 """Places that are noted after a piece, at most, and the least share of one."""
@@ -58,6 +58,8 @@ class Hypotheses:
 
     def __init__(self) -> None:
         self._places: list[_Place] = []
+        self._last: tuple[list[Place], int] = [], 0
+        """Heaps after the last piece, and its frame."""
 
     def note(self, localiser: Localiser, frame: int) -> None:
         """Note the places that are possible after a piece.
@@ -121,5 +123,4 @@ def _followed(localiser: Localiser, frames: Sequence[Frame], place: _Place) -> _
 
 def same_place(one: Float[ndarray, "3"], other: Float[ndarray, "3"]) -> bool:
     """Whether two poses (m, m, rad) are of one heap of particles."""
-    off = one - other
-    return bool(np.hypot(off[0], off[1]) < HEAP_M and abs(wrap(off[2])) < HEAP_RAD)
+    return bool(near_to(one[None], other, (HEAP_M, HEAP_RAD))[0])

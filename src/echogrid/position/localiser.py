@@ -135,6 +135,12 @@ class Localiser:
         self._grid, self._cell = grid, grid.resolution
         self._ground, self._beams, self._walls = Ground(grid), Beams(grid, robot), Walls(grid, _PIECE_M)
         self._seed, self._rng, self._per_m2 = seed, np.random.default_rng(seed), per_m2
+        self._forget()
+        self._start = None if start is None else np.asarray(start, dtype=float)
+        self.begin(self._start)
+
+    def _forget(self) -> None:
+        """Know of no drive."""
         self._usual = Usual()
         self.events: list[Event] = []
         """What happened so far."""
@@ -142,8 +148,6 @@ class Localiser:
         self._last: Frame | None = None
         self._count, self._driven = 0, 0.0
         self._pieces, self._explained, self._agreed = 0, 0.0, np.zeros(2)
-        self._start = None if start is None else np.asarray(start, dtype=float)
-        self.begin(self._start)
 
     def _gather(self, start: Float[ndarray, "3"], spread: Float[ndarray, "3"] = START_SPREAD) -> None:
         """Be near a pose, with standard deviations as given (m, m, rad)."""
@@ -215,10 +219,7 @@ class Localiser:
         """Another localiser in the same map, whose robot stands at a pose, with standard deviations (m, m, rad)."""
         other = copy(self)
         other._rng = np.random.default_rng(self._seed)
-        other._usual = Usual()
-        other.events, other._frames, other._last = [], deque(maxlen=self._frames.maxlen), None
-        other._count, other._driven = 0, 0.0
-        other._pieces, other._explained, other._agreed = 0, 0.0, np.zeros(2)
+        other._forget()
         other._begin_piece()
         other._gather(pose, spread)
         return other

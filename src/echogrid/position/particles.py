@@ -110,7 +110,7 @@ class Particles:
 
     def keep(self, place: Place, within: tuple[float, float]) -> None:
         """Leave out all but those within so far (m, rad) of a place, where there are any."""
-        near = _near(self.poses, place.pose, within)
+        near = near_to(self.poses, place.pose, within)
         self.poses, self.bias, weights = self.poses[near], self.bias[near], self.weights[near]
         self.weights = weights / weights.sum()
 
@@ -142,9 +142,10 @@ class Particles:
         return found
 
 
-def _near(
+def near_to(
     poses: Float[ndarray, "n 3"], middle: Float[ndarray, "3"], within: tuple[float, float]
 ) -> Bool[ndarray, "n"]:
+    """Which poses lie within so far (m, rad) of one."""
     off = poses - middle
     return (np.hypot(off[:, 0], off[:, 1]) < within[0]) & (np.abs(wrap(off[:, 2])) < within[1])
 
@@ -164,7 +165,7 @@ def _heaviest(
     heaviest = which == np.argmax(np.bincount(which, weights=w))
     middle, near = _mean(poses[heaviest], w[heaviest]), heaviest
     for _ in range(3):
-        near = _near(poses, middle, within)
+        near = near_to(poses, middle, within)
         if not near.any():  # two heaps whose middle is at neither
             near = heaviest
         middle = _mean(poses[near], w[near])
