@@ -54,6 +54,21 @@ def test_a_pair_that_anybody_drew(run, place):
     assert table(place / "way" / "path.csv")[-1, 2] == pytest.approx(np.hypot(4, 2), rel=0.03)
 
 
+def test_a_door_that_is_hardly_wide_enough_is_told(run, place):
+    pixels = np.full((60, 80), 254, np.uint8)
+    pixels[[0, -1]] = pixels[:, [0, -1]] = 0
+    pixels[:, 40] = 0
+    pixels[30:41, 40] = 254  # 0.55 m; the robot is 0.525 m wide
+    put(place / "plan.pgm", b"P5\n80 60\n255\n" + pixels.tobytes())
+    put(place / "plan.yaml", "image: plan.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.196\n")  # fmt: skip
+    status, _, noted = run("plan", "plan.yaml", "--robot", "b21", "--from", "1,1.2", "--to", "3,1.2", "--out", "way")
+    assert status == 0
+    assert noted.startswith("note: at (2.0")
+    assert "hardly wide enough" in noted
+    assert noted.count("\n") == 1
+
+
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [

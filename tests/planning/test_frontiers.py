@@ -109,10 +109,11 @@ def test_what_is_seen_from_a_place():
     nothing = np.full((200, 200), np.nan)
     nothing[90:110, 90:110] = 0.05
     floor = floor_of(nothing)
-    _, gain = look(floor, B21, np.array([5.0, 5.0]))
+    _, gain = look(floor, B21, np.array([5.0, 5.0]), floor.occupied)
     assert gain == pytest.approx(math.pi * REACH_M**2 - 1.0, rel=0.05)  # a disc, less what is known
     nothing[:, 112:114] = 0.99  # half a metre to the right a wall
-    _, less = look(floor_of(nothing), B21, np.array([5.0, 5.0]))
+    walled = floor_of(nothing)
+    _, less = look(walled, B21, np.array([5.0, 5.0]), walled.occupied)
     apart, hidden = 0.6, math.acos(0.6 / REACH_M)
     segment = REACH_M**2 * hidden - apart * math.sqrt(REACH_M**2 - apart**2)
     assert gain - less == pytest.approx(segment, rel=0.1)
@@ -122,6 +123,7 @@ def test_a_robot_with_eyes_to_one_side_is_turned_to_what_is_new():
     ahead = Robot("fan", 0.2, B21.transducer, 0.2, 4.0, np.deg2rad(30), np.array([[0.1, 0, 0], [0.1, 0, 0.4]]))
     p = np.full((100, 100), 0.05)
     p[:, 70:] = np.nan
-    heading, gain = look(floor_of(p), ahead, np.array([2.5, 2.5]))
+    floor = floor_of(p)
+    heading, gain = look(floor, ahead, np.array([2.5, 2.5]), floor.occupied)
     assert abs(wrap(heading + 0.2)) < 0.4  # the middle of its view to the right, where nothing is known
     assert gain > 0.5

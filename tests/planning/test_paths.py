@@ -13,6 +13,7 @@ from echogrid.errors import UsageError
 from echogrid.grid import logit
 from echogrid.output.map_server_file import occupancy
 from echogrid.planning.clearance import MARGIN_M, Floor
+from echogrid.planning.paths import NARROW_M
 
 CELL = 0.05
 B21 = Robot.load("b21")
@@ -102,7 +103,8 @@ def test_no_path_covers_what_is_occupied_or_unknown(seed):
         return
     classes = occupancy(grid)
     # Half a cell is left to where in its cell a point of the path is, and half a diagonal to a cell's corners.
-    assert covered(grid, path, classes == 100) > R + MARGIN_M - 0.2 * CELL
+    margin = MARGIN_M if path.narrow is None else NARROW_M
+    assert covered(grid, path, classes == 100) > R + margin - 0.2 * CELL
     assert covered(grid, path, classes == -1) > R - 0.2 * CELL
     assert np.all(np.linalg.norm(path.points[[0, -1]] - ends, axis=1) <= 0.16)
 
@@ -122,11 +124,14 @@ def test_a_way_is_there_where_an_independent_search_finds_one(seed):
     cells = np.argwhere(np.ones(grid.shape, bool))
     gap = KDTree(np.argwhere(p > 0.65)).query(cells)[0].reshape(grid.shape) - 0.5
     piece, _ = ndimage.label(gap * CELL >= R + MARGIN_M)
+    narrow, _ = ndimage.label(gap * CELL >= R + NARROW_M)
     a, b = (tuple(cell) for cell in grid.index_of(ends))
     if not (piece[a] and piece[b]):
         return
-    if piece[a] == piece[b]:
-        assert between(grid, ends).length_m >= math.dist(*ends) - 1e-6
+    if narrow[a] == narrow[b]:
+        path = between(grid, ends)
+        assert path.length_m >= math.dist(*ends) - 1e-6
+        assert (path.narrow is None) == (piece[a] == piece[b])
     else:
         with pytest.raises(NoPathError, match="no way to"):
             between(grid, ends)
@@ -207,7 +212,26 @@ def test_a_door_too_narrow_is_named():
     )
     assert width == pytest.approx(0.4, abs=2 * CELL)
     assert math.dist((x, y), (3.025, 2.0)) < 0.25
-    assert f"expected {2 * R:.2f} m" in said
+    assert f"expected {2 * (R + NARROW_M):.2f} m" in said
+
+
+def test_a_door_with_smeared_posts_is_driven_through_and_named():
+    values = parted(door=0.5)  # 0.53 m of footprint, and posts that are neither free nor occupied
+    smeared = np.zeros_like(values, dtype=bool)
+    smeared[:, 60] = values[:, 60] > 0.5
+    smeared[:, 60] &= np.roll(~smeared[:, 60], 1) | np.roll(~smeared[:, 60], -1)
+    values[smeared] = 0.4
+    path = plan(grid_of(values), (1, 2), (5, 2), B21)
+    assert path.narrow is not None
+    assert math.dist(path.narrow, (3.025, 2.0)) < 0.1
+    assert -0.06 < path.clearance_m.min() < 0
+    values[smeared] = 0.6  # less likely free than not
+    with pytest.raises(NoPathError, match=r"the widest way there is 0\.4"):
+        plan(grid_of(values), (1, 2), (5, 2), B21)
+
+
+def test_where_there_is_a_wide_way_none_is_narrow():
+    assert plan(grid_of(parted(door=0.7)), (1, 2), (5, 2), B21).narrow is None
 
 
 def test_a_start_that_the_map_smears_a_little_is_moved():

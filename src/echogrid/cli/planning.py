@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -70,9 +71,15 @@ class Plan:
             with replacing(self.out / "path.png") as picture, replacing(self.out / "path.csv") as table:
                 draw_map(picture, grid, way.points, title, drive="path")
                 table.write_text(_csv(way), encoding="utf-8")
+        if way.narrow is not None:
+            print(
+                f"note: at ({way.narrow[0]:.2f}, {way.narrow[1]:.2f}) m the way is hardly wide enough by the map, whose "
+                "walls may be drawn too thick: drive slowly there, or map it once more from near",
+                file=sys.stderr,
+            )
         least = float(np.min(way.clearance_m))
         print(escaped(f"{self.out}/path.csv: {way.length_m:.2f} m, {max(least, 0):.2f} m or more beside {robot.name}"
-                      f"{'' if least >= 0 else ', over ground that is not known'}; {self.out}/path.png"))  # fmt: skip
+                      f"{'' if least >= 0 or not self.unknown else ', over ground that is not known'}; {self.out}/path.png"))  # fmt: skip
 
 
 def _point(text: str, where: str) -> tuple[float, float]:

@@ -38,9 +38,11 @@ class Level(NamedTuple):
     """What is occupied with less than this is driven on."""
 
 
-LEVELS: tuple[Level, ...] = (Level(0.9, FREE_THRESH), Level(0.975, FREE_THRESH), Level(0.975, 0.4))
+LEVELS: tuple[Level, ...] = (Level(0.9, FREE_THRESH), Level(0.975, FREE_THRESH), Level(0.975, 0.4),
+                             Level(0.99, 0.4))
 """Each is for when nothing is left by the one before. Behind a door in a mirror room too little comes back for ground
-to be surely free: the last creeps on where it is likely so, and sees more from there."""
+to be surely free: the third creeps on where it is likely so, and sees more from there. The last takes every weak spot of
+a wall for a door: one that was passed at a distance can be as occupied as that, though walls are more so."""
 
 LEAST_LOOKS, MOST_LOOKS, NEAR_M, FAR_M = 4, 8, 0.7, 1.1
 """A place is come to again, from another place within FAR_M of it: looks from one and the same place tell the same.
@@ -304,14 +306,14 @@ class Explorer:
             if np.linalg.norm(self._last - self.goal.place) > SAME_M:
                 return  # it has come to a place to come from
             free = self._free_near(self.goal)
-            if not self._looks:
-                self._turn = 2 * np.pi if self.turns else 0.0
-            else:
+            if self._looks:
                 news = free >= self._free_m2 + NEW_CELLS_M2
                 again = len(self._looks) < (MOST_LOOKS if news else LEAST_LOOKS)
                 if not again or not self._step_back(self.goal):
                     self._set_aside(self.goal)
                     return
+            if self.turns and (not self._looks or self._level):  # for between its sonars lie gaps
+                self._turn = 2 * np.pi
             self._looks.append(self._last)
             self._free_m2 = free
 

@@ -28,7 +28,7 @@ REACH_M = 2.0
 """How far a look tells, m."""
 
 _RAYS, _RAY_STEP_M = 72, 0.08
-"""Of a look round; lines of sight end at what is occupied."""
+"""Of a look round."""
 
 MOST = 40
 """Frontiers that are weighed, those nearest to the robot."""
@@ -79,7 +79,8 @@ def edges(floor: Floor, robot: Robot, at: tuple[int, int], sure: float) -> Edges
     reach = np.isfinite(to_go)
     edge = _edge(floor, reach, sure)
     groups = _groups(floor, edge, to_go)
-    return Edges([_looked(floor, robot, group, reach, to_go) for group in groups], reach, to_go)
+    solid = floor.above(sure)
+    return Edges([_looked(floor, robot, solid, group, reach, to_go) for group in groups], reach, to_go)
 
 
 def _edge(floor: Floor, reach: Bool[ndarray, "rows cols"], sure: float) -> Bool[ndarray, "rows cols"]:
@@ -116,6 +117,7 @@ def _groups(
 def _looked(
     floor: Floor,
     robot: Robot,
+    solid: Bool[ndarray, "rows cols"],
     cells: Int[ndarray, "n 2"],
     reach: Bool[ndarray, "rows cols"],
     to_go: Float[ndarray, "rows cols"],
@@ -125,7 +127,7 @@ def _looked(
     edge = cells[np.argmin(np.linalg.norm(cells - middle, axis=1))]
     row, col = edge.tolist()
     place = floor.grid.centre_of(edge)
-    heading, gain = look(floor, robot, place)
+    heading, gain = look(floor, robot, place, solid)
     length = len(cells) * floor.grid.resolution / max(1, round(BEYOND_M / floor.grid.resolution))
     stand = _stand(floor, robot, edge, reach)
     return Frontier((row, col), place, stand, float(to_go[row, col]), heading, gain, length)
@@ -147,8 +149,17 @@ def _stand(floor: Floor, robot: Robot, edge: Int[ndarray, "2"], reach: Bool[ndar
     raise AssertionError("an edge is in reach")
 
 
-def look(floor: Floor, robot: Robot, place: Float[ndarray, "2"]) -> tuple[float, float]:
-    """Into which heading (rad) a robot's sonars see most unknown ground from a place (m), and how much, m2."""
+def look(
+    floor: Floor, robot: Robot, place: Float[ndarray, "2"], solid: Bool[ndarray, "rows cols"]
+) -> tuple[float, float]:
+    """Into which heading (rad) a robot's sonars see most unknown ground from a place (m), and how much, m2.
+
+    Args:
+        floor: the map.
+        robot: for its sonars.
+        place: where it is, m.
+        solid: where a line of sight ends: behind what may be a door yet there may be a room.
+    """
     bearing = np.arange(_RAYS) * (2 * np.pi / _RAYS)
     reach = min(REACH_M, robot.max_range_m)
     r = np.arange(0.0, reach, _RAY_STEP_M) + _RAY_STEP_M / 2
@@ -156,9 +167,9 @@ def look(floor: Floor, robot: Robot, place: Float[ndarray, "2"]) -> tuple[float,
     index = floor.grid.index_of(points)
     inside = np.all((index >= 0) & (index < floor.grid.shape), axis=-1)
     row, col = np.moveaxis(np.where(inside[..., None], index, 0), -1, 0)
-    solid = floor.occupied[row, col] & inside
+    ends = solid[row, col] & inside
     unknown = ~(floor.free[row, col] | floor.occupied[row, col]) | ~inside
-    seen = unknown & ~np.logical_or.accumulate(solid, axis=1)
+    seen = unknown & ~np.logical_or.accumulate(ends, axis=1)
     area = np.sum(seen * r, axis=1) * _RAY_STEP_M * (2 * np.pi / _RAYS)
     # Of each heading: what lies in the directions into which its sonars look.
     turned = (np.arange(_RAYS) - np.arange(_RAYS)[:, None]) % _RAYS

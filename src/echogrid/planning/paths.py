@@ -1,7 +1,7 @@
 """Paths on a map: the shortest safe one from a place to another, or why there is none."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import hypot, inf, sqrt
 
@@ -24,6 +24,11 @@ STEP_M = 0.05
 OFF_M = 0.1
 """A start or goal so little off what the robot can stand on is moved there: maps and poses are not exact."""
 
+NARROW_M, NARROW_P, NARROW_SHARE, NARROW_COST = 0.01, 0.5, 0.5, 30.0
+"""Where no way is wide and sure enough: kept from what is occupied; of the footprint, all but the inner share of its
+radius may cover what is occupied with less than this probability; what a metre costs of what is open by that alone.
+Maps of sonar draw the posts of a door some centimetres too wide."""
+
 _NODES = 64
 """Points of a way between which straight lines are tried."""
 
@@ -43,6 +48,8 @@ class Path:
     """x, y in the frame of the map, m, from the start to the goal."""
     clearance_m: Float[ndarray, "n"]
     """Room between the footprint there and the nearest cell that is not known to be free; below 0: it covers such."""
+    narrow: Float[ndarray, "2"] | None = None
+    """Where it leads through what is hardly wide enough, or only likely free, x, y, m: the narrowest such place."""
 
     @property
     def s_m(self) -> Float[ndarray, "n"]:
@@ -68,7 +75,8 @@ def plan(grid: Grid, start: Point, goal: Point, robot: Robot, unknown: bool = Fa
 
     Cells that were observed are occupied above p = 0.65 and free below 0.25, as by Nav2's defaults; all others are
     unknown. A map_server pair is read by its own thresholds (``read_map``). The footprint is a disc; it stays 3 cm
-    from what is occupied, and on what is free.
+    from what is occupied, and on what is free. Only where there is no such way it stays 1 cm from what is occupied, and
+    its rim may cover what is more likely free than not; it does so as little as can be, and ``Path.narrow`` says where.
 
     Args:
         grid: the map.
@@ -83,12 +91,35 @@ def plan(grid: Grid, start: Point, goal: Point, robot: Robot, unknown: bool = Fa
     """
     ends = _ends(start, goal)
     floor = Floor.of(grid, robot.footprint_radius_m)
-    costs = floor.costs(unknown)
-    first, last = (_standing(floor, costs, p, what) for p, what in zip(ends, ("start", "goal"), strict=True))
-    to_go = _core.cost_to_go(costs, np.array([last], np.int64), grid.resolution)
-    if not np.isfinite(to_go[first]):
-        raise NoPathError(f"plan: {_no_way(floor, costs, unknown, first, last)}")
-    return path_along(floor, costs, to_go, first, ends)
+    sure = floor.costs(unknown)
+    first, last = (_standing(floor, sure, p, what) for p, what in zip(ends, ("start", "goal"), strict=True))
+    if (way := _way(floor, sure, first, last, ends)) is not None:
+        return way
+    narrow = replace(floor, margin_m=NARROW_M, free_p=NARROW_P)
+    costs = np.where(np.isfinite(sure), sure, np.float32(NARROW_COST) * narrow.costs(unknown))
+    if not unknown:
+        costs[floor.known_m < NARROW_SHARE * floor.radius_m] = inf
+    if (way := _way(floor, costs, first, last, ends)) is None:
+        raise NoPathError(f"plan: {_no_way(narrow, costs, unknown, first, last)}")
+    return replace(way, narrow=_narrowest(floor, way, sure))
+
+
+def _way(
+    floor: Floor,
+    costs: Float32[ndarray, "rows cols"],
+    first: tuple[int, int],
+    last: tuple[int, int],
+    ends: Float[ndarray, "2 2"],
+) -> Path | None:
+    """The cheapest path from one open cell to another, between places in them, m; None: there is none."""
+    to_go = _core.cost_to_go(costs, np.array([last], np.int64), floor.grid.resolution)
+    return path_along(floor, costs, to_go, first, ends) if np.isfinite(to_go[first]) else None
+
+
+def _narrowest(floor: Floor, way: Path, sure: Float32[ndarray, "rows cols"]) -> Float[ndarray, "2"]:
+    """Of the points of a path where it could not be by costs that are sure, or of all, that with least room."""
+    tight = ~np.isfinite(sure[tuple(floor.grid.index_of(way.points).T)])
+    return way.points[np.argmin(np.where(tight | ~tight.any(), way.clearance_m, inf))]
 
 
 def path_along(
@@ -164,10 +195,12 @@ def _no_way(
     near = floor.nearest(reached, goal)
     assert near is not None
     off = float(np.linalg.norm(floor.grid.centre_of(np.array(near)) - goal))
-    wide, narrow = _widest(floor.gap_m if unknown else floor.known_m, first, last)
+    # On what is free the footprint may come up to what is not; from what is occupied it keeps its margin.
+    room = floor.gap_m if unknown else np.minimum(floor.gap_m, floor.known_m + np.float32(floor.margin_m))
+    wide, narrow = _widest(room, first, last)
     lacks = f"the widest way there is {2 * wide:.2f} m wide, at {_told(floor, narrow)}"
     lacks = lacks if wide > 0 else "walls, or what is unknown, are all round it"
-    needs = 2 * (floor.body_m if unknown else floor.radius_m)
+    needs = 2 * floor.body_m
     return (
         f"found no way to {_place(goal)}: {lacks}, expected {needs:.2f} m; "
         f"the robot gets within {off:.2f} m of it, at {_told(floor, near)}"
