@@ -73,13 +73,14 @@ class Plan:
                 table.write_text(_csv(way), encoding="utf-8")
         if way.narrow is not None:
             print(
-                f"note: at ({way.narrow[0]:.2f}, {way.narrow[1]:.2f}) m the way is hardly wide enough by the map, whose "
-                "walls may be drawn too thick: drive slowly there, or map it once more from near",
+                f"note: at ({way.narrow[0]:.2f}, {way.narrow[1]:.2f}) m the way is hardly wide enough by the map, "
+                "whose walls may be drawn too thick: drive slowly there, or map it once more from near",
                 file=sys.stderr,
             )
         least = float(np.min(way.clearance_m))
-        print(escaped(f"{self.out}/path.csv: {way.length_m:.2f} m, {max(least, 0):.2f} m or more beside {robot.name}"
-                      f"{'' if least >= 0 or not self.unknown else ', over ground that is not known'}; {self.out}/path.png"))  # fmt: skip
+        over = ", over ground that is not known" if least < 0 and self.unknown else ""
+        beside = f"{max(least, 0):.2f} m or more beside {robot.name}{over}"
+        print(escaped(f"{self.out}/path.csv: {way.length_m:.2f} m, {beside}; {self.out}/path.png"))
 
 
 def _point(text: str, where: str) -> tuple[float, float]:

@@ -38,11 +38,15 @@ class Level(NamedTuple):
     """What is occupied with less than this is driven on."""
 
 
-LEVELS: tuple[Level, ...] = (Level(0.9, FREE_THRESH), Level(0.975, FREE_THRESH), Level(0.975, 0.4),
-                             Level(0.99, 0.4))
+LEVELS: tuple[Level, ...] = (
+    Level(0.9, FREE_THRESH),
+    Level(0.975, FREE_THRESH),
+    Level(0.975, 0.4),
+    Level(0.99, 0.4),
+)
 """Each is for when nothing is left by the one before. Behind a door in a mirror room too little comes back for ground
-to be surely free: the third creeps on where it is likely so, and sees more from there. The last takes every weak spot of
-a wall for a door: one that was passed at a distance can be as occupied as that, though walls are more so."""
+to be surely free: the third creeps on where it is likely so, and sees more from there. The last takes every weak spot
+of a wall for a door: one that was passed at a distance can be as occupied as that, though walls are more so."""
 
 LEAST_LOOKS, MOST_LOOKS, NEAR_M, FAR_M = 4, 8, 0.7, 1.1
 """A place is come to again, from another place within FAR_M of it: looks from one and the same place tell the same.

@@ -75,8 +75,9 @@ def plan(grid: Grid, start: Point, goal: Point, robot: Robot, unknown: bool = Fa
 
     Cells that were observed are occupied above p = 0.65 and free below 0.25, as by Nav2's defaults; all others are
     unknown. A map_server pair is read by its own thresholds (``read_map``). The footprint is a disc; it stays 3 cm
-    from what is occupied, and on what is free. Only where there is no such way it stays 1 cm from what is occupied, and
-    its rim may cover what is more likely free than not; it does so as little as can be, and ``Path.narrow`` says where.
+    from what is occupied, and on what is free. Only where there is no such way it stays 1 cm from what is occupied,
+    and its rim may cover what is more likely free than not; it does so as little as can be, and ``Path.narrow`` says
+    where.
 
     Args:
         grid: the map.
