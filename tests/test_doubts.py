@@ -82,7 +82,17 @@ def test_sonars_that_never_hear_an_echo_though_the_others_do_are_told(dead):
 def test_ranges_below_the_minimum_are_told():
     stamps, poses, ranges = drive()
     (told,) = notes(stamps, poses, ranges / 1000)
-    assert "below min_range" in told
+    assert "100% of the readings with an echo are below min_range" in told
+    mostly = np.where(np.random.default_rng(1).random(ranges.shape) < 0.7, inf, ranges / 1000)
+    assert "below min_range" in " ".join(notes(stamps, poses, mostly))
+
+
+def test_headings_that_never_change_though_the_robot_drives_every_way_are_told():
+    stamps, poses, ranges = drive(4000)
+    (told,) = notes(stamps, poses * [1, 1, 0], ranges)
+    assert told.startswith("theta is always 0, though the robot drives every way")
+    poses[:, 1:] = 0.0  # to and fro along one line
+    assert notes(stamps, poses, ranges) == {}
 
 
 def test_one_longest_value_that_comes_again_and_again_is_the_sensors_no_echo():

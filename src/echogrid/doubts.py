@@ -3,6 +3,7 @@
 A doubt is one line: what was found, where, how much, the likely cause and the remedy. A faultless log has none.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -30,7 +31,7 @@ LEAST_STEPS, LEAST_READINGS = 20, 100
 """Of fewer nothing is concluded."""
 
 MOST_INVALID = 0.5
-"""Share of the readings that are too short or not valid from which it is told."""
+"""Share of the readings that measured something, but are too short, from which it is told."""
 
 REPEATED = 0.05
 """Share of the echoes that have the very longest value from which that is taken for the sensor's no echo."""
@@ -58,6 +59,12 @@ STAYS = 20
 LEFT_OUT = "a scan left out: its pose is where no robot can have got to"
 NEVER_HEAR = "sonars never hear an echo"
 STARTS_ANEW = "did the odometry start anew? cut the log there in two"
+_NO_ECHO, _TOO_SHORT, _PAST = "no sonar ever heard an echo", "not used: are the ranges in m", "past max_range"
+_TOO_FAST, _IN_RADIANS = "of the steps are faster than", "it has to be in radians"
+RANGES_MISREAD = (_NO_ECHO, _TOO_SHORT, _PAST)
+"""Of notes: the ranges are not what the log says."""
+POSES_MISREAD = (_TOO_FAST, _IN_RADIANS)
+"""Of notes: nor are the poses."""
 
 _WHOLE, _EVERY = 512, 8
 """After so many frames the ranges and headings of every so many-th batch alone are looked at: shares need no more."""
@@ -67,8 +74,15 @@ _LEAST_WAY_M = 0.01
 _AROUND = 6
 """Steps before and after a heading that jumps, by which it is judged."""
 _DEGREES = {"degrees": np.pi / 180, "tenths of a degree": np.pi / 1800}
+_EVERY_WAY = 0.5
+"""Mean resultant length of the ways driven, to and fro alike, below which a robot that does not turn is odd."""
 _ALONG = 0.8
 """Mean resultant length from which headings agree with the way that is driven: 1 if all do, 0 if none."""
+
+
+def first_of(notes: Iterable[str], kinds: Iterable[str]) -> str | None:
+    """The first of some notes that is of one of some kinds, of RANGES_MISREAD and the like; None: there is none."""
+    return next((note for note in notes if any(kind in note for kind in kinds)), None)
 
 
 @dataclass
@@ -188,6 +202,7 @@ class Judge:
         self._still = Stillness()
         self._along: dict[str, complex] = dict.fromkeys(("radians", *_DEGREES), 0j)
         self._driven = 0
+        self._bearings, self._headings = 0j, (inf, -inf)
 
     def see(
         self,
@@ -210,6 +225,9 @@ class Judge:
         if not len(rows):
             return
         self._still.see(rows, ranges)
+        low, high = self._headings
+        if low >= high:  # until one has differed from another
+            self._headings = min(low, float(rows[:, 3].min())), max(high, float(rows[:, 3].max()))
         self._batches += 1
         whole = self._frames < _WHOLE or self._batches % _EVERY == 0 or not self.echoes
         self._frames += len(rows)
@@ -278,6 +296,7 @@ class Judge:
         drives = way > 0.02
         bearing, heading = np.arctan2(dy[drives], dx[drives]), heading[drives]
         self._driven += len(bearing)
+        self._bearings += complex(np.sum(np.exp(2j * bearing)))
         for unit, scale in (("radians", 1.0), *_DEGREES.items()):
             # Twice the angle, for a robot may drive backwards.
             self._along[unit] += complex(np.sum(np.exp(2j * (bearing - scale * heading))))
@@ -322,18 +341,18 @@ class Judge:
             cause = f"all {self.past} that measured something lie past max_range {limits:g} m (the farthest at "
             cause += f"{self._farthest:g}): is that cm or mm, or is max_range wrong?"
             why = cause if self.past else "are the ranges in m, is max_range right, do the sonars work?"
-            notes[f"no sonar ever heard an echo, all {self.readings} readings are no echo: {why}"] = 0
+            notes[f"{_NO_ECHO}, all {self.readings} readings are no echo: {why}"] = 0
         elif self.past > 0.9 * (self.past + self.echoes) and self.past >= LEAST_READINGS:
-            share = f"{self.past / (self.past + self.echoes):.0%} of the echoes lie past max_range {limits:g} m"
+            share = f"{self.past / (self.past + self.echoes):.0%} of the echoes lie {_PAST} {limits:g} m"
             farthest = f"(the farthest at {self._farthest:g}) and count as no echo"
             notes[f"{share} {farthest}: is that cm or mm, or is max_range wrong?"] = 0
         low = self._robot.min_range_m if self._robot else 0.0
         if self.zeros > ZEROS * self.readings and self.readings >= LEAST_READINGS:
             share = f"{self.zeros / self.readings:.0%} of the readings are 0 m, which is no range, and not used"
             notes[f"{share}: if that is how the sensor says no echo, it has to be inf"] = 0
-        elif self.short > MOST_INVALID * self.readings and self.readings >= LEAST_READINGS:
-            share = f"{self.short / self.readings:.0%} of the readings are below min_range {low:g} m"
-            notes[f"{share} and not used: are the ranges in m, is min_range right?"] = 0
+        elif self.short > MOST_INVALID * (measured := self.short + self.past + self.echoes) >= LEAST_READINGS / 2:
+            share = f"{self.short / measured:.0%} of the readings with an echo are below min_range {low:g} m"
+            notes[f"{share} and {_TOO_SHORT}, is min_range right?"] = 0
         notes |= self._of_dumb()
         if self._longest_repeats():
             value, often = f"{self._longest:g}", f"comes {self._at_longest} times exactly, from most sonars"
@@ -389,7 +408,7 @@ class Judge:
         stamp, way = motion.first
         often = motion.fast > OFTEN * motion.steps and motion.steps >= LEAST_STEPS
         if often:
-            share = f"{motion.fast / motion.steps:.0%} of the steps are faster than {FASTEST_M_S:g} m/s"
+            share = f"{motion.fast / motion.steps:.0%} {_TOO_FAST} {FASTEST_M_S:g} m/s"
             notes[f"{share}: are the poses in mm or cm, or the stamps in other units than s?"] = 0
         elif motion.fast:
             what = f"the pose jumps by {way:.2f} m at {stamp:.2f} s"
@@ -410,11 +429,15 @@ class Judge:
         if self._driven >= 2 * LEAST_STEPS:
             along = {unit: abs(total) / self._driven for unit, total in self._along.items()}
             unit = max(_DEGREES, key=along.__getitem__)
+            every_way = abs(self._bearings) < _EVERY_WAY * self._driven
+            if every_way and self._headings[0] == self._headings[1]:
+                what = f"theta is always {self._headings[0]:g}, though the robot drives every way"
+                return {f"{what}: are the headings missing? each pose needs its own": 0}
             if along[unit] > _ALONG and along["radians"] < 0.5 * along[unit]:
-                return {f"the headings agree with the way driven if theta is in {unit}: it has to be in radians": 0}
+                return {f"the headings agree with the way driven if theta is in {unit}: {_IN_RADIANS}": 0}
         if motion.turned > OFTEN * motion.judged and motion.judged >= LEAST_STEPS and not fast:
             share = f"{motion.turned / motion.judged:.0%} of the steps turn faster than {FASTEST_RAD_S:g} rad/s"
-            return {f"{share}: is theta in degrees? it has to be in radians": 0}
+            return {f"{share}: is theta in degrees? {_IN_RADIANS}": 0}
         if 0 < motion.spun <= OFTEN * motion.steps and not fast:
             stamp, turn = motion.first_turn
             more = f" and {motion.spun - 1} times more" if motion.spun > 1 else ""

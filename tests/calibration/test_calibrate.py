@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from echogrid.calibration import findings
-from echogrid.calibration.calibrate import calibrate
+from echogrid.calibration.calibrate import _robot, calibrate
 from echogrid.calibration.health import examine
 from echogrid.calibration.readings import gather, some
 from echogrid.calibration.variants import AS_GIVEN, ranked, variants
@@ -114,6 +114,22 @@ def test_clocks_that_are_apart_are_told(late, told):
 def test_a_clockwise_heading_is_told():
     frames = [replace(frame, pose=frame.pose * [1, 1, -1]) for frame in FRAMES]
     assert "theta is counted clockwise" in " ".join(findings.of_order(ranked(gather(frames, TRUE), TRUE)))
+
+
+@pytest.mark.parametrize(("times", "told"), [(3.28084, "in feet"), (0.5, "half of what"), (2.0, "twice what")])
+def test_ranges_of_another_scale_are_told(times, told):
+    frames = changed(FRAMES, lambda ranges: np.where(ranges * times < TRUE.max_range_m, ranges * times, np.inf))
+    ranks = ranked(gather(frames, TRUE), TRUE)
+    assert told in " ".join(findings.of_order(ranks))
+
+
+def test_what_a_log_does_not_tell_of_a_mount_stays_as_it_was_given(found):
+    unsure = replace(found, inflation=(40.0, 40.0, 1.0))  # intervals so wide that they tell nothing
+    assert not unsure.told.any()
+    assert np.allclose(_robot(unsure).mounts, found.given.mounts, atol=1e-12)
+    lines = "\n".join(findings.untold(replace(found, inflation=(3.9, 3.9, 1e3))))
+    assert "the range scale to better than 3%" in lines
+    assert not list(findings.of_ranges(replace(found, inflation=(3.9, 3.9, 1e3))))
 
 
 def test_sonars_that_are_stuck_stale_or_hear_others_are_told_and_no_others():

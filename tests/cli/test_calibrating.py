@@ -80,6 +80,16 @@ def test_a_log_that_cannot_be_read_is_one_line(command, folder, run, tmp_path):
     assert err.count("\n") == 1
 
 
+def test_of_a_log_in_other_units_nothing_is_calibrated(folder, run, tmp_path):
+    frames = (Frame(f.stamp, f.pose * [1000, 1000, 1], f.ranges) for f in frames_of(ring()))
+    write_csv(tmp_path / "mm.csv", frames, ring().sonars)
+    status, _, err = run("calibrate", tmp_path / "mm.csv", "--robot", folder / "ring.yaml", "--out", tmp_path / "cal")
+    assert status == 2
+    assert "are the poses in mm or cm" in err
+    assert "expected a log in m, s and radians" in err
+    assert not (tmp_path / "cal").exists()
+
+
 def test_nothing_is_left_of_a_calibration_that_fails(folder, run, tmp_path):
     write_csv(tmp_path / "short.csv", iter(frames_of(ring())[:30]), ring().sonars)
     out = tmp_path / "cal"

@@ -91,6 +91,46 @@ def test_logs_are_taken_out_by_content_or_by_name(here, run):
     assert tiles(store) == tiles(filled(here / "other", [here / LOGS[2]]))
 
 
+def test_logs_of_one_name_whose_files_are_gone_are_taken_out_by_their_hashes(here, run):
+    for day, name in (("monday", LOGS[0]), ("tuesday", LOGS[1])):
+        (here / day).mkdir()
+        (here / name).rename(here / day / "drive.csv")
+    store = filled(here / "store", [here / day / "drive.csv" for day in ("monday", "tuesday")])
+    for day in ("monday", "tuesday"):
+        (here / day / "drive.csv").unlink()
+    line = assert_refused(run, here, "fleet", "drive.csv", "--out", "store", "--remove")
+    hashes = re.findall(r"\b[0-9a-f]{12}\b", line)
+    assert sorted(hashes) == sorted(record.log[:12] for record in store.records())
+    status, out, _ = run("fleet", hashes[0], "--out", "store", "--remove")
+    assert (status, out) == (0, "store: 1 log taken out; 1 log count\n")
+    assert [record.log[:12] for record in store.records()] == hashes[1:]
+
+
+def test_a_log_that_held_something_else_before_is_told(here, run, scheduler):
+    fleet = ["fleet", LOGS[0], "--robot", "b21", "--out", "store", "--scheduler", scheduler]
+    run(*fleet)
+    (earlier,) = Store(here / "store").records()
+    (here / LOGS[0]).write_bytes((here / LOGS[1]).read_bytes())
+    status, _, err = run(*fleet)
+    assert status == 0
+    assert f"which counts still; if it is to go: --remove {earlier.log[:12]}" in err
+
+
+@pytest.mark.parametrize(("factor", "column", "told"), [(180 / np.pi, 3, "it has to be in radians"),
+                                                        (1000.0, slice(1, 3), "faster than 10 m/s"),
+                                                        (0.001, slice(4, None), "below min_range")])  # fmt: skip
+def test_a_log_whose_numbers_are_not_what_it_says_is_refused(here, run, scheduler, factor, column, told):
+    head, *rows = (here / LOGS[0]).read_text().splitlines()
+    values = np.array([[float(value) for value in row.split(",")] for row in rows])
+    values[:, column] *= factor
+    (here / "odd.csv").write_text("\n".join([head, *(",".join(f"{v:.6f}" for v in row) for row in values), ""]))
+    status, _, err = run("fleet", LOGS[1], "odd.csv", "--robot", "b21", "--out", "store", "--scheduler", scheduler)
+    assert status == 2
+    assert told in err
+    assert "it was not mapped" in err
+    assert [record.name for record in Store(here / "store").records()] == [LOGS[1]]
+
+
 def test_a_part_is_asked_for_in_metres(here, run):
     filled(here / "store", [here / LOGS[0]])
     status, out, err = run("tiles", "store", "--region=-1,0,2,1.6", "--out", "part")
@@ -130,6 +170,7 @@ def test_two_stores_are_compared(here, run):
         ["tiles", "full", "--region", "1,2,3"],
         ["tiles", "full", "--region", "1,2,0,3"],
         ["tiles", "full", "--region", "100,100,101,101"],
+        ["tiles", "full", "--region", "1e300,0,2e300,1"],
         ["tiles", "full", "--resolution", "0"],
         ["changes", "full", "nowhere"],
     ],

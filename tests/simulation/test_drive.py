@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from echogrid.errors import EchogridError, InputError, UsageError
 from echogrid.geometry import wrap
 from echogrid.metrics import FREE, HIDDEN, SURFACE
-from echogrid.simulation.drive import STEP_M, TURN_RAD, along, read_waypoints, tour, truth_of
+from echogrid.simulation.drive import STEP_M, TURN_RAD, along, read_waypoints, tour, truth_of, turning
 from echogrid.simulation.rooms import SHAPES, random_world
 from echogrid.simulation.world import SMOOTH_M, World, inside_room, polyline
 
@@ -80,6 +80,16 @@ def test_a_tour_drives_the_way_it_looks():
 
 
 @pytest.mark.parametrize(("start", "low", "high"), [((1, 1), 0, 2), ((3, 1), 2, 4)])
+def test_where_a_tour_turns_back_the_robot_turns_on_the_spot():
+    there = tour(ROOM, 0.3)
+    poses = turning(there)
+    steps = np.diff(poses, axis=0)
+    assert np.abs(wrap(np.diff(there[:, 2]))).max() > np.deg2rad(60)
+    assert np.abs(wrap(steps[:, 2])).max() <= TURN_RAD + 1e-9
+    assert np.count_nonzero(np.hypot(steps[:, 0], steps[:, 1]) > 0) == len(there) - 1
+    assert {tuple(pose) for pose in there.tolist()} <= {tuple(pose) for pose in poses.tolist()}
+
+
 def test_a_tour_is_of_the_room_of_the_start(start, low, high):
     world = world_of([[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]], [[2, 0], [2, 3]], start=start)
     poses = tour(world, 0.3)

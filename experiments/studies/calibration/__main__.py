@@ -27,8 +27,7 @@ from typing import Any
 import numpy as np
 
 from echogrid import Frame, Robot, load_log
-from echogrid.calibration.calibrate import calibrate
-from echogrid.calibration.findings import SURE
+from echogrid.calibration.calibrate import SURE, calibrate
 from echogrid.calibration.readings import gather
 from echogrid.calibration.variants import AS_GIVEN, Ranked, ranked
 from echogrid.errors import EchogridError

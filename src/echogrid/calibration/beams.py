@@ -45,6 +45,9 @@ ODD = 0.1
 ALIKE = 0.15
 """How far two readings of one wall by one sonar at one bearing err alike (correlation)."""
 
+LEAST_MISS_M = 1e-3
+"""Echoes are taken to be so far off their walls at least (standard deviation at 1 m)."""
+
 ROUNDS = 4
 
 
@@ -109,7 +112,7 @@ def chances(
         f, s, w = (each.ravel() for each in many)
         distance, to, along = walls.seen(w, sonars[f, s, :2])
         bearing = wrap(np.arctan2(to[:, 1], to[:, 0]) - readings.poses[f, s, 2])
-        spread = miss_m * spread_at(np.maximum(distance, 0.0))
+        spread = max(miss_m, LEAST_MISS_M) * spread_at(np.maximum(distance, 0.0))
         miss = (readings.ranges[f, s] / scale - distance) / spread
         ok = walls.faces(w, along) & near[w, f]
         ok &= (distance > NEAREST_M) & fresh[f, s] & (miss > -3)

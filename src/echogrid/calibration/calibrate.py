@@ -9,7 +9,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from echogrid.calibration import beams, places
@@ -50,6 +50,12 @@ SOFT_RAD, LEAST_SHARE, MOST_APART = np.deg2rad(2.2), 0.35, 4.0
 """A beam whose edge seems softer has looked at rough walls, which are heard far off the axis too, and stays as it was
 given. Of an array whose echoes touch walls less often something else is wrong, and halves of a drive that differ so
 many times their spread hang on chance: then mounts, beam and scale stay."""
+
+SURE = 1.96
+"""Standard deviations to each side of an interval of 95 %."""
+
+WIDE_M, WIDE_RAD, WIDE_SCALE = 0.05, np.deg2rad(5.0), 0.03
+"""Of wider intervals than to these sides a place, an axis or a scale is not told, and stays as it was given."""
 
 APART, SCALE_SD = (1.4, 1.7, 1.4), 0.001
 """Spreads of places, axes and scale are multiplied by so much at least: in simulated drives they were too small by
@@ -102,6 +108,13 @@ class Calibration:
         """Standard deviations of that."""
         place, axis, _ = self.inflation
         return np.column_stack([self.places.place_sd * place, self.beams.yaw_sd * axis])
+
+    @property
+    def told(self) -> Bool[ndarray, "sonars 3"]:
+        """What of each mount the log tells: x and y, or neither, and the axis."""
+        off = SURE * self.moved_sd
+        place = np.max(off[:, :2], axis=1) <= WIDE_M
+        return np.column_stack([place, place, off[:, 2] <= WIDE_RAD])
 
     @property
     def scale_sd(self) -> float:
@@ -187,8 +200,8 @@ def _parts(readings: Readings, robot: Robot) -> _Parts:
 
 
 def _robot(found: Calibration) -> Robot:
-    """The robot as it was found; sonars that say nothing stay where they were said to be."""
-    mounts = found.given.mounts + found.moved
+    """The robot as it was found; what is not told of a sonar stays as it was said to be."""
+    mounts = found.given.mounts + np.where(found.told, found.moved, 0.0)
     mounts[:, 2] = wrap(mounts[:, 2])
     mounts[found.health.useless] = found.given.mounts[found.health.useless]
     width = float(np.clip(2 * found.beams.half, np.deg2rad(1.0), np.pi))

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from echogrid.calibration.calibrate import Calibration
+from echogrid.calibration.calibrate import SURE, WIDE_SCALE, Calibration
 from echogrid.calibration.health import Health
 from echogrid.calibration.variants import AS_GIVEN, GAIN, Ranked
 
@@ -13,14 +13,9 @@ DOUBTED = 1.5
 
 SCALE_OFF = 0.005
 
-SURE = 1.96
-"""Standard deviations to each side of an interval of 95 %."""
-
 SHORT_M = 15.0
 """On a shorter way swapped sonars may not be found: of simulated drives they were not in 10 of 34 shorter ones, and
 in none of 86 longer ones."""
-
-_WIDE_RAD, _WIDE_M = np.deg2rad(5.0), 0.05
 
 
 def of_health(health: Health) -> Iterator[str]:
@@ -76,6 +71,8 @@ def of_ranges(found: Calibration) -> Iterator[str]:
     if found.unsure:
         return
     scale, sd = found.places.scale, found.scale_sd
+    if SURE * sd > WIDE_SCALE:
+        return
     if abs(scale - 1) > max(SCALE_OFF, SURE * sd):
         what = f"ranges read {scale:.4f} m a metre of the poses (+-{SURE * sd:.4f})"
         yield f"{what}: divide them by it, or multiply the poses; which of the two is wrong no log tells"
@@ -92,7 +89,10 @@ def untold(found: Calibration) -> Iterator[str]:
     if found.soft:
         soft = np.rad2deg(found.beams.soft)
         yield f"the beam: its edge is soft by {soft:.1f} degrees, as before rough walls; left as given"
-    turned, moved = found.moved_sd[:, 2] * SURE > _WIDE_RAD, found.moved_sd[:, :2].max(axis=1) * SURE > _WIDE_M
+    if SURE * found.scale_sd > WIDE_SCALE:
+        yield f"the range scale to better than {WIDE_SCALE:.0%}: drive straight at walls, and away from them"
+    turned, moved = ~found.told[:, 2], ~found.told[:, 0]
     for which, what in ((turned, "axis to better than 5 degrees"), (moved, "place to better than 5 cm")):
         if which.any():
-            yield f"of {_named(np.flatnonzero(which).tolist())} the {what}: turn the robot beside a wall, both ways"
+            names = _named(np.flatnonzero(which).tolist())
+            yield f"of {names} the {what}, left as given: turn the robot beside a wall, both ways"

@@ -46,6 +46,8 @@ class Variant:
     """How the poses have to be changed, of POSES; empty: not."""
     late_s: float = 0.0
     """So much later than the poses of the same moment the ranges come."""
+    times: float = 1.0
+    """What the ranges have to be multiplied by."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,16 @@ _QUARTERS = {90: "a quarter left", 180: "half round", -90: "a quarter right"}
 
 LATE_S = (0.25, 0.5, 1.0)
 """By so much ranges may come later than poses, or sooner."""
+
+SCALED = 1.6
+"""So many times as many echoes have to touch walls where the ranges are of another scale: shorter ones touch more of
+anything, 1.35 times at most on recordings that are right; those in feet or of half the length 2 to 3 times."""
+
+TIMES = {
+    1 / 3.28084: "the ranges are in feet: divide them by 3.2808",
+    2.0: "the ranges are half of what they should be: multiply them by 2",
+    0.5: "the ranges are twice what they should be, the way there and back: divide them by 2",
+}
 
 POSES = {
     "theta": np.array([1.0, 1.0, -1.0]),
@@ -111,6 +123,8 @@ def variants(robot: Robot) -> Iterator[Variant]:
         told = f"the clocks of ranges and poses are apart: the ranges come some {late:g} s"
         yield Variant(f"{told} after the poses, subtract that from their stamps", mounts, late_s=late)
         yield Variant(f"{told} before the poses, add that to their stamps", mounts, late_s=-late)
+    for times, told in TIMES.items():
+        yield Variant(told, mounts, times=times)
     yield Variant("theta is counted clockwise: it has to be counter-clockwise", mounts, "theta")
     yield Variant("y points to the right: it has to point to the left of x", mounts, "y")
 
@@ -138,8 +152,10 @@ def ranked(readings: Readings, robot: Robot, hasty: bool = False) -> list[Ranked
             different.append(variant)
 
     def best_first(some_of: list[Variant], parts: list[slice]) -> list[Ranked]:
-        judge = (judged(_posed(readings, each), each, parts, robot.beam_width_rad) for each in some_of)
-        return sorted(judge, key=lambda each: -each.share)
+        found = [judged(_changed(readings, each), each, parts, robot.beam_width_rad) for each in some_of]
+        least = SCALED * next(each.share for each in found if each.variant.name == AS_GIVEN)
+        kept = (each for each in found if each.variant.times == 1 or each.share > least)
+        return sorted(kept, key=lambda each: -each.share)
 
     parts = some(windows(readings), MOST_PARTS)
     first = best_first(different, some(parts, FEW_PARTS))
@@ -168,7 +184,8 @@ def judged(
 
 
 def _alike(one: Variant, other: Variant) -> bool:
-    return (one.poses, one.late_s) == (other.poses, other.late_s) and bool(
+    same = (one.poses, one.late_s, one.times) == (other.poses, other.late_s, other.times)
+    return same and bool(
         np.abs(one.mounts[:, :2] - other.mounts[:, :2]).max() < SAME_M
         and np.abs(np.exp(1j * one.mounts[:, 2]) - np.exp(1j * other.mounts[:, 2])).max() < SAME_M
     )
@@ -176,10 +193,12 @@ def _alike(one: Variant, other: Variant) -> bool:
 
 def applied(readings: Readings, robot: Robot, variant: Variant) -> tuple[Readings, Robot]:
     """A drive and its robot as a variant has them."""
-    return _posed(readings, variant), replace(robot, mounts=variant.mounts)
+    return _changed(readings, variant), replace(robot, mounts=variant.mounts)
 
 
-def _posed(readings: Readings, variant: Variant) -> Readings:
+def _changed(readings: Readings, variant: Variant) -> Readings:
+    if variant.times != 1:
+        return replace(readings, ranges=readings.ranges * variant.times)
     if variant.late_s:
         return replace(readings, poses=_sooner(readings, variant.late_s))
     return replace(readings, poses=readings.poses * POSES[variant.poses]) if variant.poses else readings

@@ -10,7 +10,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from echogrid.cli.arguments import Ros, open_log, print_notes, robot_arg, shown
 from echogrid.cli.poses import corrected, pose_settings
-from echogrid.doubts import NEVER_HEAR
+from echogrid.doubts import NEVER_HEAR, POSES_MISREAD, RANGES_MISREAD, first_of
 from echogrid.errors import InputError, escaped
 from echogrid.files import made
 from echogrid.frame import Frame, Log
@@ -62,6 +62,7 @@ class Calibrate:
             check_calibration_folder(self.out)
             drive = corrected(log, robot) if self.slam else None
             frames = _frames(drive.log if drive else log)
+            _check_read(log, poses=drive is None)
             found = calibrate(Log.of(frames, log.name), robot)
             write_calibration(self.out, found, escaped(f"{Path(log.name).name}, {robot.name}"))
         if not named:
@@ -73,8 +74,15 @@ class Calibrate:
         print(escaped(f"{log.name}: {len(frames)} scans of {robot.name}; {files}"))
 
 
+def _check_read(log: Log, poses: bool) -> None:
+    """Refuse a log whose numbers are not what it says, once it was read."""
+    bad = RANGES_MISREAD + (POSES_MISREAD if poses else ())
+    if doubt := first_of(log.notes, bad):
+        raise InputError(log.name, doubt, "a log in m, s and radians: of another nothing can be told")
+
+
 def _print_table(found: "Calibration") -> None:
-    from echogrid.calibration.findings import SURE
+    from echogrid.calibration.calibrate import SURE
     from echogrid.output.calibration_files import state
 
     print("sonar       x, m           y, m        axis, degrees    turned   echoes  state")
@@ -90,11 +98,12 @@ def _print_table(found: "Calibration") -> None:
 
 def _print_findings(found: "Calibration", drive: "Corrected | None") -> None:
     from echogrid.calibration import findings
+    from echogrid.calibration.calibrate import SURE
 
     beams, places = found.beams, found.places
-    width, off = np.rad2deg(2 * beams.half), findings.SURE * np.rad2deg(2 * beams.half_sd)
+    width, off = np.rad2deg(2 * beams.half), SURE * np.rad2deg(2 * beams.half_sd)
     print(f"beam          {width:.1f} +-{off:.1f} degrees, edge soft by {np.rad2deg(beams.soft):.1f}")
-    print(f"range scale   {places.scale:.4f} +-{findings.SURE * found.scale_sd:.4f}, read of a metre of the poses")
+    print(f"range scale   {places.scale:.4f} +-{SURE * found.scale_sd:.4f}, read of a metre of the poses")
     print(f"walls         {found.share:.0%} of the echoes touch {len(places.walls.place)} walls and corners", end="")
     print(f", {places.miss_m:.3f} m off them")
     if drive is not None and (odometry := pose_settings(drive)["odometry"]):
@@ -177,4 +186,5 @@ def _of_walls(frames: list[Frame], robot: Robot, doubtful: bool) -> list[str]:
     out = list(findings.of_health(health))
     if doubtful:
         return out
-    return out + list(findings.of_order(ranked(readings.without(health.useless), robot)))
+    ranks = ranked(readings.without(health.useless), robot)
+    return [*out, *findings.of_order(ranks)]

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 _REFUSED = 2
 """Exit status where a log was refused, though others were added."""
 
+_LEAST_HASH, _SHOWN_HASH = 8, 12
+"""So much of a hash, at least, says which log is meant; so much of it is shown."""
+
 _MOST_NOTES = 10
 """Lines of notes; where there are more, the records in the store have them."""
 
@@ -57,7 +60,8 @@ class Fleet:
     start: Annotated[str | None, arg(metavar="X,Y,DEG")] = None
     """With --localise: about where each log begins in the map. Default: anywhere."""
     remove: bool = False
-    """Take the logs out of the store instead; by their content, or by their name where the file is gone."""
+    """Take the logs out of the store instead; by their content, or where the file is gone by their name, or by
+    the beginning of the hash in the store's logs/HASH.json."""
     scheduler: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """Run on the cluster of this dask scheduler (tcp://HOST:8786), whose workers see logs and store under the same
     paths. Default: processes of this machine."""
@@ -88,6 +92,7 @@ class Fleet:
                 tasks = list(self._tasks(store, robot, poses))
                 outcomes = list(bar(run(client, tasks), "logs", "log", len(tasks)))
         _tell(outcomes, self.out)
+        _tell_changed(outcomes, store)
         _summarise(outcomes, store, time.perf_counter() - begin)
         if any(each.what == "refused" for each in outcomes):
             sys.exit(_REFUSED)
@@ -172,8 +177,11 @@ class Fleet:
                 found = [by_hash[name]] if (name := log_hash(Path(log))) in by_hash else []
             else:
                 found = [record for record in records if record.name == Path(log).name]
+                if not found and len(log) >= _LEAST_HASH:
+                    found = [record for record in records if record.log.startswith(log)]
             if len(found) != 1:
-                what = f"{len(found)} logs of that name" if found else "a log that is not in it"
+                which = ", ".join(f"{record.log[:_SHOWN_HASH]} of {record.path or record.name}" for record in found)
+                what = f"{len(found)} logs of that name ({which})" if found else "a log that is not in it"
                 raise UsageError(f"{store.path}: {log}: found {what}, expected one that counts; nothing was removed")
             if found[0].log not in taken:
                 taken.add(found[0].log)
@@ -216,6 +224,16 @@ def _tell(outcomes: "Sequence[Outcome]", out: Path) -> None:
         print(escaped(f"{kind}: {where[0]}{more}: {reason}"), file=sys.stderr)
     if told > _MOST_NOTES:
         print(escaped(f"note: {told - _MOST_NOTES} notes more are in {out}/logs, under notes"), file=sys.stderr)
+
+
+def _tell_changed(outcomes: "Sequence[Outcome]", store: "Store") -> None:
+    """Say of which logs an earlier content counts too."""
+    added = {each.log: each.hash for each in outcomes if each.what == "added"}
+    for record in store.records():
+        if record.log != added.get(record.path, record.log):
+            what = "it held something else when it was added before, which counts still"
+            remedy = f"if it is to go: --remove {record.log[:_SHOWN_HASH]}"
+            print(escaped(f"note: {os.path.basename(record.path)}: {what}; {remedy}"), file=sys.stderr)
 
 
 def _summarise(outcomes: "Sequence[Outcome]", store: "Store", seconds: float) -> None:

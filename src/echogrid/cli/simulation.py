@@ -43,7 +43,7 @@ class Simulate:
         need("simulate", "train")
         from echogrid.logs.csv_log import write_csv
         from echogrid.output.map_file import write_truth
-        from echogrid.simulation.drive import along, read_waypoints, tour, truth_of
+        from echogrid.simulation.drive import along, read_waypoints, tour, truth_of, turning
         from echogrid.simulation.simulate import Simulator
 
         check_physics(self.physics)
@@ -53,7 +53,7 @@ class Simulate:
         check_writable(truth)
         world, robot = World.load(self.world).with_walls(self.walls), Robot.load(self.robot)
         if self.drive == "auto":
-            poses = tour(world, robot.footprint_radius_m + 0.1)
+            poses = turning(tour(world, robot.footprint_radius_m + 0.1))
         else:
             poses = along(read_waypoints(self.drive))
         poses = np.round(poses, 6)

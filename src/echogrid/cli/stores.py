@@ -126,7 +126,8 @@ def _print_robots(reading: "Reading") -> None:
     if len(reading.robots) > 1:
         others, total = len(reading.robots) - 1, sum(reading.robots.values())
         share = next(iter(reading.robots.values())) / total
-        what = f"sonars of {reading.robot.name} ({share:.0%} of the scans), though {others} other kinds drove too"
+        kinds = "another kind" if others == 1 else f"{others} other kinds"
+        what = f"sonars of {reading.robot.name} ({share:.0%} of the scans), though {kinds} drove too"
         print(
             escaped(f"note: the map is read for the {what}: walls that only they saw may look otherwise"),
             file=sys.stderr,
@@ -173,5 +174,6 @@ class Changes:
             print(f"note: only {share} were compared: were the drives elsewhere, or too short?", file=sys.stderr)
         counts = [sum(area.became == what for area in found.areas) for what in ("occupied", "free")]
         area = found.compared * after.resolution**2
-        what = f"{counts[0]} areas became occupied, {counts[1]} free, of {area:.1f} m2 that both saw"
+        areas = "area" if counts[0] == 1 else "areas"
+        what = f"{counts[0]} {areas} became occupied, {counts[1]} free, of {area:.1f} m2 that both saw"
         print(escaped(f"{self.before}, {self.after}: {what}; {self.out}/changes.png, {self.out}/changes.csv"))

@@ -11,9 +11,10 @@ from typing import Literal
 
 import numpy as np
 
+from echogrid.doubts import POSES_MISREAD, RANGES_MISREAD, STARTS_ANEW, first_of
 from echogrid.errors import EchogridError, InputError
 from echogrid.fleet.lattice import Region, Tile, cut
-from echogrid.fleet.poses import MapPoses, Poses
+from echogrid.fleet.poses import MapPoses, OwnPoses, Posed, Poses
 from echogrid.fleet.store import Record, Store, facts, model_of_stores
 from echogrid.fleet.sums import Writer
 from echogrid.frame import Frame
@@ -132,11 +133,19 @@ def _mapped(task: Task, store: Store, log: str, key: str, settings: str, poses: 
     writer, heard = Writer("int32"), Heard()
     _sum(Mapper(robot, model_of_stores()), heard.of(posed.frames), writer)
     heard.check(str(path))
+    _check_read(path, posed, own=isinstance(task.poses, OwnPoses))
     writer.write(store.sums_at(key), log=log)
     notes = tuple(doubt + (f" ({count} times)" if count else "") for doubt, count in posed.notes.items())
     tiles: tuple[Tile, ...] = tuple(sorted(set(writer.tiles)))
     told = task.robot or robot_yaml(robot)
-    return Record(log, path.name, key, settings, poses, told, heard.frames, tiles, notes)
+    return Record(log, path.name, key, settings, poses, told, heard.frames, tiles, notes, str(path))
+
+
+def _check_read(path: Path, posed: Posed, own: bool) -> None:
+    """Refuse a log that would spoil the map of all, once its frames were taken: its numbers are not what it says."""
+    bad = (*RANGES_MISREAD, *((*POSES_MISREAD, STARTS_ANEW) if own else ()))
+    if doubt := first_of(posed.notes, bad):
+        raise InputError(path, doubt, "a log that does not spoil the map: it was not mapped")
 
 
 @lru_cache(maxsize=8)

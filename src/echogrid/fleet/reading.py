@@ -28,6 +28,9 @@ MARGIN = REACH + 2 * PACK
 BLOCK = 4
 """Tiles along the side of a block that is read out at once."""
 
+_FARTHEST = 2.0**40
+"""Cells; no part begins or ends farther off."""
+
 Sums = Int[ndarray, "layers side side"]
 
 
@@ -86,7 +89,7 @@ class Reading:
             UsageError: no tile of the store touches it.
         """
         cell = model_of_stores().cell_m
-        low, high = (np.array([y, x]) / cell for x, y in ((x0, y0), (x1, y1)))
+        low, high = (np.clip(np.array([y, x]) / cell, -_FARTHEST, _FARTHEST) for x, y in ((x0, y0), (x1, y1)))
         asked = Region(np.floor(low + 1e-6).astype(np.int64), np.ceil(high - 1e-6).astype(np.int64))
         if not any(map(asked.holds, self.by_tile)):
             x, y = self.extent.low[::-1] * cell, self.extent.high[::-1] * cell

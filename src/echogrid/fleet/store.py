@@ -51,6 +51,8 @@ class Record:
     """Those that its sums touch."""
     notes: tuple[str, ...] = ()
     """What is doubtful about it."""
+    path: str = ""
+    """Where it was when it was added."""
 
 
 class Store:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from echogrid.calibration.beams import GRID_RAD
-from echogrid.calibration.calibrate import Calibration
-from echogrid.calibration.findings import SURE
+from echogrid.calibration.calibrate import SURE, Calibration
 from echogrid.files import check_writable, made, replacing
 from echogrid.geometry import wrap
 from echogrid.robot import robot_yaml
@@ -135,6 +134,8 @@ def _draw_axes(panel: "Axes", found: Calibration) -> None:
     panel.set(
         title="likelihood of each axis", xlabel="turned from as given (degrees)", ylabel="sonar", xlim=(-25, 25)
     )
+    step = 1 + found.given.sonars // 16
+    panel.set_yticks(range(0, found.given.sonars, step), [f"r{i}" for i in range(0, found.given.sonars, step)])
 
 
 def _draw_ranks(panel: "Axes", found: Calibration) -> None:
@@ -142,6 +143,6 @@ def _draw_ranks(panel: "Axes", found: Calibration) -> None:
     best = found.ranks[:8][::-1]
     colors = ["tab:blue" if each is found.taken else "0.7" for each in best]
     panel.barh(range(len(best)), [each.share for each in best], color=colors)
-    names = [textwrap.fill(each.variant.name.split(":")[0], 32) for each in best]
+    names = [textwrap.fill(textwrap.shorten(each.variant.name, 76, placeholder=" ..."), 40) for each in best]
     panel.set_yticks(range(len(best)), names, size="small")
     panel.set(title="share of echoes that touch walls (blue: taken)", xlim=(0, 1))

@@ -19,7 +19,7 @@ from echogrid.robot import Robot
 THINK_S = 1.0
 """So often, at least, a robot that drives thinks about where to."""
 
-GAIN_M, MOST_GAIN_M2 = 0.25, 4.0
+GAIN_M, MOST_GAIN_M2 = 1.0, 4.0
 """Metres that a square metre of ground not yet seen is worth, up to so many of these."""
 
 TURN_M = 0.3
@@ -47,6 +47,10 @@ LEVELS: tuple[Level, ...] = (
 """Each is for when nothing is left by the one before. Behind a door in a mirror room too little comes back for ground
 to be surely free: the third creeps on where it is likely so, and sees more from there. The last takes every weak spot
 of a wall for a door: one that was passed at a distance can be as occupied as that, though walls are more so."""
+
+LEAST_GAIN_M2 = 0.5
+"""What may be a door is looked at only where so much unknown ground is behind it, as it were open: between rooms that
+are known there is nothing to be found."""
 
 LEAST_LOOKS, MOST_LOOKS, NEAR_M, FAR_M = 4, 8, 0.7, 1.1
 """A place is come to again, from another place within FAR_M of it: looks from one and the same place tell the same.
@@ -364,10 +368,11 @@ class Explorer:
 
     def _chosen(self, found: Edges, pose: Float[ndarray, "3"], level: int) -> Frontier | None:
         """Which frontier is worth most at a level; None: none is left."""
-        fresh = [one for one in found.frontiers if not self._asides.holds(one.place, level)]
+        worthy = [one for one in found.frontiers if not level or one.gain_m2 >= LEAST_GAIN_M2]
+        fresh = [one for one in worthy if not self._asides.holds(one.place, level)]
         if not fresh and level == self._lowest:  # before it dares more
             self._asides.forgive()
-            fresh = [one for one in found.frontiers if not self._asides.holds(one.place, level)]
+            fresh = [one for one in worthy if not self._asides.holds(one.place, level)]
         return min(fresh, key=lambda frontier: self._worth(frontier, pose), default=None)
 
     def _worth(self, frontier: Frontier, pose: Float[ndarray, "3"]) -> float:

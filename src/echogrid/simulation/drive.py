@@ -46,6 +46,17 @@ def along(waypoints: Float[ndarray, "n 2"]) -> Float[ndarray, "frames 3"]:
     return np.array([*poses, [*points[-1], heading]])
 
 
+def turning(poses: Float[ndarray, "frames 3"]) -> Float[ndarray, "more 3"]:
+    """The same drive, but where the heading changes by more than between two frames the robot turns on the spot."""
+    out = [poses[:1]]
+    for before, now in pairwise(poses):
+        turn = float(wrap(now[2] - before[2]))
+        parts = int(abs(turn) / TURN_RAD) + 1
+        heading = wrap(before[2] + turn * np.arange(1, parts) / parts)
+        out += [np.column_stack([np.broadcast_to(before[:2], (parts - 1, 2)), heading]), now[None]]
+    return np.concatenate(out)
+
+
 def read_waypoints(path: str | Path) -> Float[ndarray, "n 2"]:
     """Waypoints from a text file: ``x,y`` in m on each line, ``#`` begins a comment.
 
