@@ -59,6 +59,7 @@ STAYS = 20
 LEFT_OUT = "a scan left out: its pose is where no robot can have got to"
 NEVER_HEAR = "sonars never hear an echo"
 STARTS_ANEW = "did the odometry start anew? cut the log there in two"
+NO_ECHO_IS_LONGEST = "the longest range,"
 _NO_ECHO, _TOO_SHORT, _PAST = "no sonar ever heard an echo", "not used: are the ranges in m", "past max_range"
 _TOO_FAST, _IN_RADIANS = "of the steps are faster than", "it has to be in radians"
 RANGES_MISREAD = (_NO_ECHO, _TOO_SHORT, _PAST)
@@ -357,7 +358,7 @@ class Judge:
         if self._longest_repeats():
             value, often = f"{self._longest:g}", f"comes {self._at_longest} times exactly, from most sonars"
             remedy = f"if that is how the sensor says no echo, map with a robot file whose max_range_m is {value}"
-            notes[f"the longest range, {value} m, {often}: {remedy}"] = 0
+            notes[f"{NO_ECHO_IS_LONGEST} {value} m, {often}: {remedy}"] = 0
         return notes
 
     def _of_dumb(self) -> dict[str, int]:

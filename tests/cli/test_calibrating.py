@@ -65,6 +65,14 @@ def test_doctor_tells_what_is_noted_of_a_log(folder, run, tmp_path):
     assert "found: no sonar ever heard an echo" in out
 
 
+def test_a_longest_range_that_means_no_echo_is_one_finding(folder, run, tmp_path):
+    full = changed(frames_of(ring()), lambda ranges: np.where(ranges > 1.5, 4.0, ranges))
+    write_csv(tmp_path / "full.csv", iter(full), ring().sonars)
+    _, out, _ = run("doctor", tmp_path / "full.csv", "--robot", folder / "ring.yaml")
+    assert "found: the longest range, 4 m, comes" in out
+    assert "1 finding in" in out
+
+
 def test_doctor_tells_of_a_robot_that_stands(folder, run, tmp_path):
     frames = frames_of(ring())[:1] * 60
     write_csv(tmp_path / "stands.csv", (Frame(i / 10, f.pose, f.ranges) for i, f in enumerate(frames)), ring().sonars)

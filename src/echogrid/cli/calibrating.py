@@ -1,7 +1,7 @@
 """Commands that judge a log and the robot that drove: calibrate, doctor."""
 
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +10,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from echogrid.cli.arguments import Ros, open_log, print_notes, robot_arg, shown
 from echogrid.cli.poses import corrected, pose_settings
-from echogrid.doubts import NEVER_HEAR, POSES_MISREAD, RANGES_MISREAD, first_of
+from echogrid.doubts import NEVER_HEAR, NO_ECHO_IS_LONGEST, POSES_MISREAD, RANGES_MISREAD, first_of
 from echogrid.errors import InputError, escaped
 from echogrid.files import made
 from echogrid.frame import Frame, Log
@@ -142,7 +142,7 @@ class Doctor:
         told = {what: count for what, count in log.notes.items() if NEVER_HEAR not in what}
         notes = [what + (f" ({count} times)" if count else "") for what, count in told.items()]
         info = describe(Log.of(frames, log.name))
-        found = [*notes, *_of_contents(info, robot), *_of_walls(frames, robot, doubtful=bool(notes))]
+        found = [*notes, *_of_contents(info, robot), *_of_walls(frames, robot, notes)]
         if not named:
             print(f"robot: {robot.name}, as none was named", file=sys.stderr)
         for line in found:
@@ -172,7 +172,7 @@ def _of_contents(info: LogInfo, robot: Robot) -> list[str]:
     return out
 
 
-def _of_walls(frames: list[Frame], robot: Robot, doubtful: bool) -> list[str]:
+def _of_walls(frames: list[Frame], robot: Robot, notes: list[str]) -> list[str]:
     """Single sonars, and the order and mounts of all; these only where nothing worse was noted."""
     from echogrid.calibration import findings
     from echogrid.calibration.health import examine
@@ -182,9 +182,12 @@ def _of_walls(frames: list[Frame], robot: Robot, doubtful: bool) -> list[str]:
     if not any(np.isfinite(frame.ranges).any() for frame in frames):
         return []  # a note says so
     readings = gather(frames, robot)
+    if first_of(notes, [NO_ECHO_IS_LONGEST]):  # one cause, one line: what sonars say then is no echo
+        longest = np.max(readings.ranges, where=np.isfinite(readings.ranges), initial=0.0)
+        readings = replace(readings, ranges=np.where(readings.ranges >= longest, np.inf, readings.ranges))
     health = examine(readings)
     out = list(findings.of_health(health))
-    if doubtful:
+    if notes:
         return out
     ranks = ranked(readings.without(health.useless), robot)
     return [*out, *findings.of_order(ranks)]

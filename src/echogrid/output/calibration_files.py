@@ -143,6 +143,6 @@ def _draw_ranks(panel: "Axes", found: Calibration) -> None:
     best = found.ranks[:8][::-1]
     colors = ["tab:blue" if each is found.taken else "0.7" for each in best]
     panel.barh(range(len(best)), [each.share for each in best], color=colors)
-    names = [textwrap.fill(textwrap.shorten(each.variant.name, 76, placeholder=" ..."), 40) for each in best]
+    names = [textwrap.fill(textwrap.shorten(each.variant.name, 96, placeholder=" ..."), 44) for each in best]
     panel.set_yticks(range(len(best)), names, size="small")
     panel.set(title="share of echoes that touch walls (blue: taken)", xlim=(0, 1))
