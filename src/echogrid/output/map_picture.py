@@ -66,7 +66,8 @@ def draw_map(
     if len(way):
         _draw_drive(axes, line_of(way, near), drive)
     for label, (colour, points) in (marks or {}).items():
-        axes.plot(*points.T, "s", color=colour, ms=1.5, mew=0, label=f"{label}" if len(points) else f"{label}: none")
+        axes.plot(*points.T, "s", color=colour, ms=1.5, mew=0)
+        axes.plot([], "s", color=colour, ms=7, label=label if len(points) else f"{label}: none")  # for the key
     _draw_key(figure, axes, shown, inch_per_m)
     with warnings.catch_warnings():
         # A title in a script that the font lacks is drawn as boxes; that is no reason to bother anyone.
@@ -136,7 +137,7 @@ def _draw_key(figure: "Figure", axes: "Axes", shown: "AxesImage", inch_per_m: fl
 
     if axes.get_lines():
         place = (left + 1.9) / page[0], 0.65 / page[1]
-        axes.legend(loc="center left", bbox_to_anchor=place, bbox_transform=figure.transFigure, frameon=False)
+        axes.legend(loc="center left", bbox_to_anchor=place, bbox_transform=figure.transFigure, frameon=False, handlelength=1.4)
 
     bar = figure.add_axes(((left + 3.6) / page[0], 0.68 / page[1], 2.6 / page[0], 0.16 / page[1]))
     figure.colorbar(shown, cax=bar, orientation="horizontal", ticks=[0, 0.5, 1])
