@@ -137,7 +137,8 @@ def _draw_key(figure: "Figure", axes: "Axes", shown: "AxesImage", inch_per_m: fl
 
     if axes.get_lines():
         place = (left + 1.9) / page[0], 0.65 / page[1]
-        axes.legend(loc="center left", bbox_to_anchor=place, bbox_transform=figure.transFigure, frameon=False, handlelength=1.4)
+        at = {"bbox_to_anchor": place, "bbox_transform": figure.transFigure}
+        axes.legend(loc="center left", frameon=False, handlelength=1.4, **at)
 
     bar = figure.add_axes(((left + 3.6) / page[0], 0.68 / page[1], 2.6 / page[0], 0.16 / page[1]))
     figure.colorbar(shown, cax=bar, orientation="horizontal", ticks=[0, 0.5, 1])
