@@ -87,6 +87,12 @@ def test_ranges_below_the_minimum_are_told():
     assert "below min_range" in " ".join(notes(stamps, poses, mostly))
 
 
+def test_stamps_in_milliseconds_are_told():
+    stamps, poses, ranges = drive()
+    (told,) = notes(1000 * (stamps - stamps[0]), poses, ranges)
+    assert "are the stamps in ms?" in told
+
+
 def test_headings_that_never_change_though_the_robot_drives_every_way_are_told():
     stamps, poses, ranges = drive(4000)
     (told,) = notes(stamps, poses * [1, 1, 0], ranges)

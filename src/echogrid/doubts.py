@@ -24,6 +24,9 @@ SPUN_RAD_S = 6.0
 JUMP_M, JUMP_RAD = 0.5, 0.8
 """A step is no jump of the pose if it is shorter: where stamps are coarse the speed says little."""
 
+SELDOM_S, SELDOM = 30.0, 0.5
+"""If more than this share of the scans of a drive comes so long after the one before, stamps are in other units."""
+
 OFTEN = 0.1
 """If more than this share of the steps is too fast it is no jump: the unit, or the clock, is another."""
 
@@ -97,6 +100,8 @@ class Motion:
     """Steps whose turn was looked at."""
     turned: int = 0
     """Those of them in which no robot can have turned so far."""
+    seldom: int = 0
+    """Steps looked at in which the robot went on, and that took as long as no robot that maps waits."""
     first: tuple[float, float] = (nan, 0.0)
     """Stamp (s) and length (m) of the first jump."""
     longest_m: float = 0.0
@@ -292,6 +297,7 @@ class Judge:
         motion, on = self.motion, ~found.far
         motion.judged += int(np.count_nonzero(on))
         motion.turned += int(np.count_nonzero(found.round[on]))
+        motion.seldom += int(np.count_nonzero((np.diff(track[:, 0]) > SELDOM_S) & (found.way > 0)))
         way, (dx, dy) = found.way[on], (track[1:, 1:3] - track[:-1, 1:3])[on].T
         heading = track[1:, 3][on]
         drives = way > 0.02
@@ -422,6 +428,9 @@ class Judge:
             notes[
                 f"all stamps are {self._first_stamp:g} s: no speed can be told, and nothing fades; write the time"
             ] = 0
+        if motion.seldom > SELDOM * motion.judged and motion.judged >= LEAST_STEPS:
+            share = f"{motion.seldom / motion.judged:.0%} of the scans come more than {SELDOM_S:g} s after the one before"
+            notes[f"{share}, while the robot drives: are the stamps in ms? they have to be in s"] = 0
         notes |= self._of_headings(often)
         return notes
 
