@@ -429,8 +429,9 @@ class Judge:
                 f"all stamps are {self._first_stamp:g} s: no speed can be told, and nothing fades; write the time"
             ] = 0
         if motion.seldom > SELDOM * motion.judged and motion.judged >= LEAST_STEPS:
-            share = f"{motion.seldom / motion.judged:.0%} of the scans come more than {SELDOM_S:g} s after the one before"
-            notes[f"{share}, while the robot drives: are the stamps in ms? they have to be in s"] = 0
+            share = f"{motion.seldom / motion.judged:.0%} of the scans"
+            what = f"{share} come more than {SELDOM_S:g} s after the one before, while the robot drives"
+            notes[f"{what}: are the stamps in ms? they have to be in s"] = 0
         notes |= self._of_headings(often)
         return notes
 
