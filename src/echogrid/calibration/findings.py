@@ -14,8 +14,8 @@ DOUBTED = 1.5
 SCALE_OFF = 0.005
 
 SHORT_M = 15.0
-"""On a shorter way swapped sonars may not be found: of simulated drives they were not in 10 of 34 shorter ones, and
-in none of 86 longer ones."""
+"""On a shorter way swapped sonars may not be found: of simulated drives they were not in 13 of 40 shorter ones, and
+in none of 120 longer ones."""
 
 
 def of_health(health: Health) -> Iterator[str]:
