@@ -208,6 +208,13 @@ class Explore:
         bumps = f"{count or 'no'} {'collision' if count == 1 else 'collisions'}"
         what = f"{world.name}: {robot.name} saw {seen:.1%} of the floor in reach by {found.way_m:.1f} m, {bumps}"
         print(escaped(f"{what}; it ends {found.home_m:.2f} m from its start: {found.end}"))
+        if left := found.frontiers_left:
+            places = "place" if left == 1 else "places"
+            print(
+                f"note: unknown ground is left at {left} {places} that showed nothing new, or to which there is no sure "
+                f"way: grey in map.png; a door of less than 0.2 m beside {escaped(robot.name)} may stay shut",
+                file=sys.stderr,
+            )
         print(escaped(f"{self.out}/map.png, map.html, drive.csv; {self.out}/explore.json has the figures"))
 
 

@@ -7,6 +7,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 from numpy import ndarray
+from scipy import ndimage
+from scipy.spatial import KDTree
 
 from echogrid import _core
 from echogrid.errors import UsageError
@@ -22,6 +24,12 @@ much."""
 DEAF_COST = 6.0
 """Of a metre besides where the robot touches something, down to none at the shortest range of its sonars: nearer than
 that it hears nothing, and what it has not heard there before, as the far side of a pillar, looks free."""
+
+CORNER = 0.21
+"""A corner of a cell is nearer than half a cell less than its middle, by so many cells at most."""
+
+_NEAREST = 16
+"""Of so many cells whose middles are near the side that is nearest is looked for."""
 
 UNKNOWN_COST = 30.0
 """Of a metre in which the footprint covers ground that is not known, where such may be driven on."""
@@ -175,6 +183,18 @@ class Floor:
             return cell, 0.0
         near = self.nearest(open_, p_map)
         return near, np.inf if near is None else float(np.linalg.norm(self.grid.centre_of(np.array(near)) - p_map))
+
+
+def room_m(grid: Grid, cells: Bool[ndarray, "rows cols"], points: Float[ndarray, "n 2"]) -> Float[ndarray, "n"]:
+    """From points (m) to the nearest side of some cells of a grid, m, to the last millimetre; 0 in one, inf of none."""
+    rim = cells & ~ndimage.binary_erosion(cells)
+    if not rim.any():
+        return np.full(len(points), np.inf)
+    middles = grid.centre_of(np.argwhere(rim))
+    _, near = KDTree(middles).query(points, k=list(range(1, 1 + min(_NEAREST, len(middles)))))
+    off = np.maximum(np.abs(points[:, None] - middles[near]) - grid.resolution / 2, 0)
+    inside = cells[tuple(grid.index_of(points).T)]
+    return np.where(inside, 0.0, np.min(np.hypot(*np.moveaxis(off, -1, 0)), axis=1))
 
 
 def gap(cells: Bool[ndarray, "rows cols"], resolution: float) -> Float32[ndarray, "rows cols"]:

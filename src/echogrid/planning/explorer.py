@@ -52,9 +52,10 @@ LEAST_GAIN_M2 = 0.5
 """What may be a door is looked at only where so much unknown ground is behind it, as it were open: between rooms that
 are known there is nothing to be found."""
 
-LEAST_LOOKS, MOST_LOOKS, NEAR_M, FAR_M = 4, 8, 0.7, 1.1
+LEAST_LOOKS, MOST_LOOKS, NEAR_M, FAR_M = (4, 2, 2, 1), 8, 0.7, 1.1
 """A place is come to again, from another place within FAR_M of it: looks from one and the same place tell the same.
-After LEAST_LOOKS places only while something new is seen within NEAR_M, and MOST_LOOKS at most."""
+After LEAST_LOOKS places (of each level: on those that dare more it turns round at each) only while something new is
+seen within NEAR_M, and MOST_LOOKS at most."""
 
 NEW_CELLS_M2 = 0.006
 """What has become free there by one look, at least, to be something new."""
@@ -316,7 +317,7 @@ class Explorer:
             free = self._free_near(self.goal)
             if self._looks:
                 news = free >= self._free_m2 + NEW_CELLS_M2
-                again = len(self._looks) < (MOST_LOOKS if news else LEAST_LOOKS)
+                again = len(self._looks) < (MOST_LOOKS if news else LEAST_LOOKS[self._level])
                 if not again or not self._step_back(self.goal):
                     self._set_aside(self.goal)
                     return

@@ -14,7 +14,7 @@ from echogrid import _core
 from echogrid.errors import UsageError
 from echogrid.grid import Grid
 from echogrid.limits import MOST_M, as_reals
-from echogrid.planning.clearance import Floor
+from echogrid.planning.clearance import CORNER, MARGIN_M, Floor, room_m
 from echogrid.robot import Robot
 from echogrid.yaml_keys import shown
 
@@ -91,12 +91,16 @@ def plan(grid: Grid, start: Point, goal: Point, robot: Robot, unknown: bool = Fa
         UsageError: no such points, or a map without free cells or with too many.
     """
     ends = _ends(start, goal)
-    floor = Floor.of(grid, robot.footprint_radius_m)
+    corner_m = CORNER * grid.resolution
+    floor = Floor.of(grid, robot.footprint_radius_m, margin_m=max(MARGIN_M, corner_m))
     sure = floor.costs(unknown)
     first, last = (_standing(floor, sure, p, what) for p, what in zip(ends, ("start", "goal"), strict=True))
+    # Elsewhere in its cell than in the middle there may be less room.
+    tight = room_m(floor.grid, floor.occupied, ends) < floor.radius_m
+    ends[tight] = floor.grid.centre_of(np.array([first, last]))[tight]
     if (way := _way(floor, sure, first, last, ends)) is not None:
         return way
-    narrow = replace(floor, margin_m=NARROW_M, free_p=NARROW_P)
+    narrow = replace(floor, margin_m=max(NARROW_M, corner_m), free_p=NARROW_P)
     costs = np.where(np.isfinite(sure), sure, np.float32(NARROW_COST) * narrow.costs(unknown))
     if not unknown:
         costs[floor.known_m < NARROW_SHARE * floor.radius_m] = inf
@@ -114,7 +118,14 @@ def _way(
 ) -> Path | None:
     """The cheapest path from one open cell to another, between places in them, m; None: there is none."""
     to_go = _core.cost_to_go(costs, np.array([last], np.int64), floor.grid.resolution)
-    return path_along(floor, costs, to_go, first, ends) if np.isfinite(to_go[first]) else None
+    if not np.isfinite(to_go[first]):
+        return None
+    points = path_along(floor, costs, to_go, first, ends).points
+    if first == last:
+        points = _spaced(ends) if np.any(ends[0] != ends[1]) else ends[:1]
+    if np.any(room_m(floor.grid, floor.occupied, points) < floor.radius_m):  # cells are large: from middle to middle
+        points = _spaced(floor.grid.centre_of(_down(to_go, costs, first)))
+    return Path(points, room_m(floor.grid, ~floor.free, points) - floor.radius_m)
 
 
 def _narrowest(floor: Floor, way: Path, sure: Float32[ndarray, "rows cols"]) -> Float[ndarray, "2"]:
