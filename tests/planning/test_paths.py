@@ -109,6 +109,25 @@ def test_no_path_covers_what_is_occupied_or_unknown(seed):
     assert np.all(np.linalg.norm(path.points[[0, -1]] - ends, axis=1) <= 0.16)
 
 
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.05, 0.1, 0.2, 0.3]))
+def test_in_cells_of_any_size_the_footprint_covers_no_wall_and_the_clearance_is_true(seed, cell):
+    rng = np.random.default_rng(seed)
+    p = np.full((20, 24), 0.05)
+    p[[0, -1]] = p[:, [0, -1]] = 0.95
+    p[rng.integers(0, 20, 12), rng.integers(0, 24, 12)] = 0.95
+    grid = Grid(logit(p).astype(np.float32), np.ones(p.shape, bool), cell, (0.0, 0.0))
+    robot = Robot("disc", float(rng.uniform(0.5, 2.0)) * cell, B21.transducer, 0.2, 4.0, 0.4, np.zeros((1, 3)))
+    ends = rng.uniform(1, 19, (2, 2)) * cell
+    try:
+        path = plan(grid, *ends, robot)
+    except NoPathError:
+        return
+    off = np.abs(path.points[:, None] - grid.centre_of(np.argwhere(p > 0.5))) - cell / 2
+    beside = np.hypot(*np.moveaxis(np.maximum(off, 0), -1, 0)).min(axis=1) - robot.footprint_radius_m
+    assert beside.min() >= -0.01 * cell
+    np.testing.assert_allclose(path.clearance_m, beside, atol=1e-6)
+
+
 @given(st.integers(0, 2**32 - 1))
 def test_a_way_is_there_where_an_independent_search_finds_one(seed):
     from scipy import ndimage

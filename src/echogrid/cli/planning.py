@@ -210,9 +210,9 @@ class Explore:
         print(escaped(f"{what}; it ends {found.home_m:.2f} m from its start: {found.end}"))
         if left := found.frontiers_left:
             places = "place" if left == 1 else "places"
+            what = f"unknown ground is left at {left} {places} that showed nothing new, or to which no way is sure"
             print(
-                f"note: unknown ground is left at {left} {places} that showed nothing new, or to which there is no sure "
-                f"way: grey in map.png; a door of less than 0.2 m beside {escaped(robot.name)} may stay shut",
+                f"note: {what}: a door with less than 0.1 m to either side of the robot may stay shut",
                 file=sys.stderr,
             )
         print(escaped(f"{self.out}/map.png, map.html, drive.csv; {self.out}/explore.json has the figures"))

@@ -186,7 +186,7 @@ class Floor:
 
 
 def room_m(grid: Grid, cells: Bool[ndarray, "rows cols"], points: Float[ndarray, "n 2"]) -> Float[ndarray, "n"]:
-    """From points (m) to the nearest side of some cells of a grid, m, to the last millimetre; 0 in one, inf of none."""
+    """From points (m) to the nearest side of some cells of a grid, m, exactly; 0 in one, inf of none."""
     rim = cells & ~ndimage.binary_erosion(cells)
     if not rim.any():
         return np.full(len(points), np.inf)
