@@ -119,7 +119,7 @@ def test_in_cells_of_any_size_the_footprint_covers_no_wall_and_the_clearance_is_
     robot = Robot("disc", float(rng.uniform(0.5, 2.0)) * cell, B21.transducer, 0.2, 4.0, 0.4, np.zeros((1, 3)))
     ends = rng.uniform(1, 19, (2, 2)) * cell
     try:
-        path = plan(grid, *ends, robot)
+        path = plan(grid, ends[0], ends[1], robot)
     except NoPathError:
         return
     off = np.abs(path.points[:, None] - grid.centre_of(np.argwhere(p > 0.5))) - cell / 2
