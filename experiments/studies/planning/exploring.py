@@ -34,7 +34,7 @@ def explored(kind: str, number: int, walls: str, robot_name: str, part: str = "e
     chooser, mapper = Explorer(robot), Mapper
     if part == "peer":
         explorer.GAIN_M = explorer.TURN_M = explorer.FAITH_M = 0.0
-        explorer.LEVELS = (explorer.Level(0.65, 0.25),)
+        explorer.LEVELS = (explorer.Level(0.65, 0.25, 4),)
         mapper = partial(Mapper, model="nav2", resolution=0.05)
     try:
         exploration = Exploration(

@@ -122,6 +122,11 @@ class Calibration:
         return float(np.hypot(self.places.scale_sd * self.inflation[2], SCALE_SD))
 
     @property
+    def scale_told(self) -> bool:
+        """Whether the log tells the scale of the ranges."""
+        return SURE * self.scale_sd <= WIDE_SCALE
+
+    @property
     def soft(self) -> bool:
         """Whether the beam was left as it was given, for its edge is soft, as before rough walls."""
         return bool(self.beams.soft > SOFT_RAD)

@@ -68,11 +68,9 @@ def of_swaps(found: Calibration) -> Iterator[str]:
 
 def of_ranges(found: Calibration) -> Iterator[str]:
     """Whether ranges and poses have one scale."""
-    if found.unsure:
+    if found.unsure or not found.scale_told:
         return
     scale, sd = found.places.scale, found.scale_sd
-    if SURE * sd > WIDE_SCALE:
-        return
     if abs(scale - 1) > max(SCALE_OFF, SURE * sd):
         what = f"ranges read {scale:.4f} m a metre of the poses (+-{SURE * sd:.4f})"
         yield f"{what}: divide them by it, or multiply the poses; which of the two is wrong no log tells"
@@ -89,7 +87,7 @@ def untold(found: Calibration) -> Iterator[str]:
     if found.soft:
         soft = np.rad2deg(found.beams.soft)
         yield f"the beam: its edge is soft by {soft:.1f} degrees, as before rough walls; left as given"
-    if SURE * found.scale_sd > WIDE_SCALE:
+    if not found.scale_told:
         yield f"the range scale to better than {WIDE_SCALE:.0%}: drive straight at walls, and away from them"
     turned, moved = ~found.told[:, 2], ~found.told[:, 0]
     for which, what in ((turned, "axis to better than 5 degrees"), (moved, "place to better than 5 cm")):

@@ -92,8 +92,9 @@ class Fleet:
                 tasks = list(self._tasks(store, robot, poses))
                 outcomes = list(bar(run(client, tasks), "logs", "log", len(tasks)))
         _tell(outcomes, self.out)
-        _tell_changed(outcomes, store)
-        _summarise(outcomes, store, time.perf_counter() - begin)
+        records = store.records()
+        _tell_changed(outcomes, records)
+        _summarise(outcomes, records, self.out, time.perf_counter() - begin)
         if any(each.what == "refused" for each in outcomes):
             sys.exit(_REFUSED)
 
@@ -226,23 +227,22 @@ def _tell(outcomes: "Sequence[Outcome]", out: Path) -> None:
         print(escaped(f"note: {told - _MOST_NOTES} notes more are in {out}/logs, under notes"), file=sys.stderr)
 
 
-def _tell_changed(outcomes: "Sequence[Outcome]", store: "Store") -> None:
+def _tell_changed(outcomes: "Sequence[Outcome]", records: "Sequence[Record]") -> None:
     """Say of which logs an earlier content counts too."""
     added = {each.log: each.hash for each in outcomes if each.what == "added"}
-    for record in store.records():
+    for record in records:
         if record.log != added.get(record.path, record.log):
             what = "it held something else when it was added before, which counts still"
             remedy = f"if it is to go: --remove {record.log[:_SHOWN_HASH]}"
             print(escaped(f"note: {os.path.basename(record.path)}: {what}; {remedy}"), file=sys.stderr)
 
 
-def _summarise(outcomes: "Sequence[Outcome]", store: "Store", seconds: float) -> None:
+def _summarise(outcomes: "Sequence[Outcome]", records: "Sequence[Record]", out: Path, seconds: float) -> None:
     words = {"added": "added", "replaced": "mapped anew", "there": "there already", "refused": "refused"}
     counts = {what: sum(each.what == what for each in outcomes) for what in words}
     done = ", ".join(f"{count} {words[what]}" for what, count in counts.items() if count)
-    records = store.records()
     scans = sum(record.frames for record in records)
-    what = f"{store.path}: of {counted(len(outcomes))} {done} in {seconds:.1f} s"
+    what = f"{out}: of {counted(len(outcomes))} {done} in {seconds:.1f} s"
     print(escaped(f"{what}; {counted(len(records))} with {scans} scans count"))
 
 

@@ -116,6 +116,11 @@ class Floor:
         """Likewise to the nearest cell that is not known to be free."""
         return gap(~self.free, self.grid.resolution)
 
+    @cached_property
+    def walls(self) -> "Sides":
+        """The sides of what is occupied."""
+        return Sides(self.grid, self.occupied)
+
     @property
     def body_m(self) -> float:
         """What the robot's middle keeps from what is in its way, m."""
@@ -185,16 +190,22 @@ class Floor:
         return near, np.inf if near is None else float(np.linalg.norm(self.grid.centre_of(np.array(near)) - p_map))
 
 
-def room_m(grid: Grid, cells: Bool[ndarray, "rows cols"], points: Float[ndarray, "n 2"]) -> Float[ndarray, "n"]:
-    """From points (m) to the nearest side of some cells of a grid, m, exactly; 0 in one, inf of none."""
-    rim = cells & ~ndimage.binary_erosion(cells)
-    if not rim.any():
-        return np.full(len(points), np.inf)
-    middles = grid.centre_of(np.argwhere(rim))
-    _, near = KDTree(middles).query(points, k=list(range(1, 1 + min(_NEAREST, len(middles)))))
-    off = np.maximum(np.abs(points[:, None] - middles[near]) - grid.resolution / 2, 0)
-    inside = cells[tuple(grid.index_of(points).T)]
-    return np.where(inside, 0.0, np.min(np.hypot(*np.moveaxis(off, -1, 0)), axis=1))
+class Sides:
+    """The sides of some cells of a grid, to be near to."""
+
+    def __init__(self, grid: Grid, cells: Bool[ndarray, "rows cols"]) -> None:
+        self._grid, self._cells = grid, cells
+        self._middles = grid.centre_of(np.argwhere(cells & ~ndimage.binary_erosion(cells)))
+        self._tree = KDTree(self._middles)
+
+    def room_m(self, points: Float[ndarray, "n 2"]) -> Float[ndarray, "n"]:
+        """From points (m) to the nearest of them, m, exactly; 0 in a cell, inf of none."""
+        if not len(self._middles):
+            return np.full(len(points), np.inf)
+        _, near = self._tree.query(points, k=list(range(1, 1 + min(_NEAREST, len(self._middles)))))
+        off = np.maximum(np.abs(points[:, None] - self._middles[near]) - self._grid.resolution / 2, 0)
+        inside = self._cells[tuple(self._grid.index_of(points).T)]
+        return np.where(inside, 0.0, np.min(np.hypot(*np.moveaxis(off, -1, 0)), axis=1))
 
 
 def gap(cells: Bool[ndarray, "rows cols"], resolution: float) -> Float32[ndarray, "rows cols"]:

@@ -36,13 +36,15 @@ class Level(NamedTuple):
     """What is occupied with less than this may be a door: its posts, from afar, are heard all over it."""
     free_p: float
     """What is occupied with less than this is driven on."""
+    looks: int
+    """At a place that shows nothing new, from so many others; where more is dared the robot turns round at each."""
 
 
 LEVELS: tuple[Level, ...] = (
-    Level(0.9, FREE_THRESH),
-    Level(0.975, FREE_THRESH),
-    Level(0.975, 0.4),
-    Level(0.99, 0.4),
+    Level(0.9, FREE_THRESH, 4),
+    Level(0.975, FREE_THRESH, 2),
+    Level(0.975, 0.4, 2),
+    Level(0.99, 0.4, 1),
 )
 """Each is for when nothing is left by the one before. Behind a door in a mirror room too little comes back for ground
 to be surely free: the third creeps on where it is likely so, and sees more from there. The last takes every weak spot
@@ -52,10 +54,9 @@ LEAST_GAIN_M2 = 0.5
 """What may be a door is looked at only where so much unknown ground is behind it, as it were open: between rooms that
 are known there is nothing to be found."""
 
-LEAST_LOOKS, MOST_LOOKS, NEAR_M, FAR_M = (4, 2, 2, 1), 8, 0.7, 1.1
+MOST_LOOKS, NEAR_M, FAR_M = 8, 0.7, 1.1
 """A place is come to again, from another place within FAR_M of it: looks from one and the same place tell the same.
-After LEAST_LOOKS places (of each level: on those that dare more it turns round at each) only while something new is
-seen within NEAR_M, and MOST_LOOKS at most."""
+After those of its level only while something new is seen within NEAR_M, and so often at most."""
 
 NEW_CELLS_M2 = 0.006
 """What has become free there by one look, at least, to be something new."""
@@ -317,7 +318,7 @@ class Explorer:
             free = self._free_near(self.goal)
             if self._looks:
                 news = free >= self._free_m2 + NEW_CELLS_M2
-                again = len(self._looks) < (MOST_LOOKS if news else LEAST_LOOKS[self._level])
+                again = len(self._looks) < (MOST_LOOKS if news else LEVELS[self._level].looks)
                 if not again or not self._step_back(self.goal):
                     self._set_aside(self.goal)
                     return

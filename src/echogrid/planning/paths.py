@@ -14,7 +14,7 @@ from echogrid import _core
 from echogrid.errors import UsageError
 from echogrid.grid import Grid
 from echogrid.limits import MOST_M, as_reals
-from echogrid.planning.clearance import CORNER, MARGIN_M, Floor, room_m
+from echogrid.planning.clearance import CORNER, MARGIN_M, Floor, Sides
 from echogrid.robot import Robot
 from echogrid.yaml_keys import shown
 
@@ -96,7 +96,7 @@ def plan(grid: Grid, start: Point, goal: Point, robot: Robot, unknown: bool = Fa
     sure = floor.costs(unknown)
     first, last = (_standing(floor, sure, p, what) for p, what in zip(ends, ("start", "goal"), strict=True))
     # Elsewhere in its cell than in the middle there may be less room.
-    tight = room_m(floor.grid, floor.occupied, ends) < floor.radius_m
+    tight = floor.walls.room_m(ends) < floor.radius_m
     ends[tight] = floor.grid.centre_of(np.array([first, last]))[tight]
     if (way := _way(floor, sure, first, last, ends)) is not None:
         return way
@@ -123,9 +123,9 @@ def _way(
     points = path_along(floor, costs, to_go, first, ends).points
     if first == last:
         points = _spaced(ends) if np.any(ends[0] != ends[1]) else ends[:1]
-    if np.any(room_m(floor.grid, floor.occupied, points) < floor.radius_m):  # cells are large: from middle to middle
+    if np.any(floor.walls.room_m(points) < floor.radius_m):  # cells are large: from middle to middle
         points = _spaced(floor.grid.centre_of(_down(to_go, costs, first)))
-    return Path(points, room_m(floor.grid, ~floor.free, points) - floor.radius_m)
+    return Path(points, Sides(floor.grid, ~floor.free).room_m(points) - floor.radius_m)
 
 
 def _narrowest(floor: Floor, way: Path, sure: Float32[ndarray, "rows cols"]) -> Float[ndarray, "2"]:

@@ -37,9 +37,7 @@ def along(waypoints: Float[ndarray, "n 2"]) -> Float[ndarray, "frames 3"]:
     for a, b in pairwise(points):
         towards = float(np.arctan2(b[1] - a[1], b[0] - a[0]))
         if heading is not None:
-            turn = float(wrap(towards - heading))
-            parts = int(abs(turn) / TURN_RAD) + 1
-            poses += [[*a, float(wrap(heading + turn * i / parts))] for i in range(1, parts)]
+            poses += [[*a, between] for between in _headings_between(heading, towards)]
         steps = max(1, round(float(np.linalg.norm(b - a)) / STEP_M))
         poses += [[*(a + (b - a) * i / steps), towards] for i in range(steps)]
         heading = towards
@@ -50,11 +48,16 @@ def turning(poses: Float[ndarray, "frames 3"]) -> Float[ndarray, "more 3"]:
     """The same drive, but where the heading changes by more than between two frames the robot turns on the spot."""
     out = [poses[:1]]
     for before, now in pairwise(poses):
-        turn = float(wrap(now[2] - before[2]))
-        parts = int(abs(turn) / TURN_RAD) + 1
-        heading = wrap(before[2] + turn * np.arange(1, parts) / parts)
-        out += [np.column_stack([np.broadcast_to(before[:2], (parts - 1, 2)), heading]), now[None]]
+        out += [np.array([[*before[:2], between]]) for between in _headings_between(before[2], now[2])]
+        out.append(now[None])
     return np.concatenate(out)
+
+
+def _headings_between(before: float, after: float) -> list[float]:
+    """Those of a robot that turns on the spot from one heading to another, the short way, rad."""
+    turn = float(wrap(after - before))
+    parts = int(abs(turn) / TURN_RAD) + 1
+    return [float(wrap(before + turn * i / parts)) for i in range(1, parts)]
 
 
 def read_waypoints(path: str | Path) -> Float[ndarray, "n 2"]:
