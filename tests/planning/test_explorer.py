@@ -7,6 +7,7 @@ import pytest
 
 from echogrid.grid import Grid, logit
 from echogrid.planning.explorer import Explorer
+from echogrid.planning.frontiers import Reach
 from plan_drive import B21, FAR, STEP_S, WIDE, Drive, shut, two_rooms
 
 
@@ -121,6 +122,32 @@ def test_a_way_home_that_is_shut_is_told():
     assert drive.explorer.end == "something is in the way back"
     assert drive.pose[0] > 4.2
     assert drive.least > -0.035
+
+
+@pytest.mark.parametrize(("posts", "open_"), [(0.8, True), (0.97, False)])
+def test_a_door_it_came_through_stays_open_though_posts_are_heard_in_it_afterwards(posts, open_):
+    p = np.full((80, 120), 0.02)
+    p[:, 60:62] = 0.99
+    p[30:50, 60:62] = 0.02
+    explorer = Explorer(B21)
+
+    def way(grid):
+        floor = explorer.floor(grid)
+        at, to = floor.cell((1.5, 2.0)), floor.cell((4.5, 2.0))
+        assert at is not None
+        assert to is not None
+        return Reach.of(floor, at).cells[to]
+
+    def grid():
+        return Grid(logit(p).astype(np.float32), np.ones_like(p, dtype=bool), 0.05, (0.0, 0.0))
+
+    assert way(grid())
+    for x in np.arange(1.5, 4.5, 0.03):
+        explorer.note_way(np.array([x, 2.0, 0.0]))
+    p[30:37, 60:62] = p[43:50, 60:62] = posts
+    assert way(grid()) == open_
+    explorer.remapped()
+    assert not way(grid())
 
 
 @pytest.mark.parametrize("turn", [0.0, 2.0])

@@ -10,10 +10,12 @@ from echogrid import Grid, Robot
 from echogrid.geometry import wrap
 from echogrid.grid import logit
 from echogrid.planning.clearance import Floor
-from echogrid.planning.frontiers import REACH_M, STAND_M, edges, look
+from echogrid.planning.frontiers import REACH_M, STAND_M, Reach, frontiers, look
 
 CELL = 0.05
 B21 = Robot.load("b21")
+NOWHERE = np.array([[0.0, 0.0, 1.0]])
+"""A hull in which nothing lies."""
 
 
 def floor_of(p):
@@ -39,7 +41,7 @@ def found(p, sure=0.9):
     floor = floor_of(p)
     at = floor.cell((2.0, 1.5))
     assert at is not None
-    return edges(floor, B21, at, sure).frontiers
+    return frontiers(Reach.of(floor, at), B21, sure)
 
 
 def test_a_room_that_is_shut_has_none():
@@ -61,13 +63,13 @@ def test_a_first_look_is_from_where_sonars_hear_what_is_beyond():
     at = floor.cell((1.0, 1.5))
     assert at is not None
     # The sonars of a B21 hear nothing within 0.26 m, that is up to 0.25 m off its footprint.
-    for one in edges(floor, B21, at, 0.9).frontiers:
+    for one in frontiers(Reach.of(floor, at), B21, 0.9):
         assert floor.known_m[one.cell] < B21.footprint_radius_m + 2 * CELL
         stand = floor.grid.centre_of(np.array(one.stand))
         assert math.dist(stand, one.place) <= STAND_M + 1e-9
         assert floor.known_m[one.stand] > B21.footprint_radius_m + 0.2 or abs(one.place[1] - 1.5) > 0.8
     near = replace(B21, min_range_m=0.01)
-    assert all(one.stand == one.cell for one in edges(floor, near, at, 0.9).frontiers)
+    assert all(one.stand == one.cell for one in frontiers(Reach.of(floor, at), near, 0.9))
 
 
 def test_a_first_look_is_from_this_side_of_a_wall():
@@ -81,7 +83,7 @@ def test_a_first_look_is_from_this_side_of_a_wall():
     floor = floor_of(p)
     at = floor.cell((1.0, 1.5))
     assert at is not None
-    found = edges(floor, B21, at, 0.9).frontiers
+    found = frontiers(Reach.of(floor, at), B21, 0.9)
     assert found
     for one in found:
         assert floor.grid.centre_of(np.array(one.stand))[0] > 40 * CELL
@@ -105,15 +107,45 @@ def test_ground_behind_a_wall_is_none_however_much_there_is():
     assert found(p) == []
 
 
+def test_a_door_between_known_rooms_promises_more_than_a_weak_wall():
+    p = np.full((60, 240), np.nan)
+    p[:, :80], p[:, 160:] = room(door=0.9, filled=0.95), room()
+    p[58:60, 30:50] = 0.95  # behind it is nothing that was ever driven round
+    ones = found(p, sure=0.975)
+    door = max(one.promise_m2 for one in ones if abs(one.place[1] - 1.5) < 0.5)
+    others = [one.promise_m2 for one in ones if abs(one.place[1] - 1.5) >= 0.5]
+    assert others
+    assert door > 1.5 * max(others)
+    open_ = max(one.promise_m2 for one in found(room(door=0.9)))
+    assert open_ > max(one.promise_m2 for one in found(room(door=0.9, filled=0.8)))
+
+
+def test_the_hull_holds_what_is_free_and_nothing_far_from_it():
+    p = np.full((60, 80), np.nan)
+    p[10:20, 10:60] = 0.05
+    p[20:50, 10:12] = 0.05
+    floor = floor_of(p)
+    at = floor.cell((1.5, 0.75))
+    assert at is not None
+    hull = Reach.of(floor, at).hull
+    rows, cols = np.nonzero(p == 0.05)
+    points = (np.column_stack([cols, rows]) + 0.5) * CELL
+    assert np.all(points @ hull[:, :2].T + hull[:, 2] <= 1e-9)
+    inside, outside = np.array([1.0, 1.5]), np.array([2.8, 2.4])
+    assert np.all(hull[:, :2] @ inside + hull[:, 2] <= 0)
+    assert np.any(hull[:, :2] @ outside + hull[:, 2] > 0)
+
+
 def test_what_is_seen_from_a_place():
     nothing = np.full((200, 200), np.nan)
     nothing[90:110, 90:110] = 0.05
     floor = floor_of(nothing)
-    _, gain = look(floor, B21, np.array([5.0, 5.0]), floor.occupied)
+    here = np.array([5.0, 5.0])
+    _, gain, _ = look(floor, B21, here, floor.occupied, NOWHERE)
     assert gain == pytest.approx(math.pi * REACH_M**2 - 1.0, rel=0.05)  # a disc, less what is known
     nothing[:, 112:114] = 0.99  # half a metre to the right a wall
     walled = floor_of(nothing)
-    _, less = look(walled, B21, np.array([5.0, 5.0]), walled.occupied)
+    _, less, _ = look(walled, B21, here, walled.occupied, NOWHERE)
     apart, hidden = 0.6, math.acos(0.6 / REACH_M)
     segment = REACH_M**2 * hidden - apart * math.sqrt(REACH_M**2 - apart**2)
     assert gain - less == pytest.approx(segment, rel=0.1)
@@ -124,6 +156,6 @@ def test_a_robot_with_eyes_to_one_side_is_turned_to_what_is_new():
     p = np.full((100, 100), 0.05)
     p[:, 70:] = np.nan
     floor = floor_of(p)
-    heading, gain = look(floor, ahead, np.array([2.5, 2.5]), floor.occupied)
+    heading, gain, _ = look(floor, ahead, np.array([2.5, 2.5]), floor.occupied, NOWHERE)
     assert abs(wrap(heading + 0.2)) < 0.4  # the middle of its view to the right, where nothing is known
     assert gain > 0.5

@@ -188,6 +188,7 @@ class Driving:
 
     def _watch(self, live_map: LiveMap, odometry: Float[ndarray, "3"], stamp: float) -> None:
         """See whether what is told of the pose goes on as a robot does."""
+        assert self.explorer is not None
         pose = live_map.in_map(odometry)
         if self._last is not None:
             before, told, shift = self._last
@@ -205,6 +206,7 @@ class Driving:
             moved = np.hypot(*(compose(shift, odometry) - pose)[:2])
             if moved > JUMP_M or abs(wrap(off[2])) > JUMP_RAD:
                 self._settled = stamp + SETTLES_S
+                self.explorer.remapped()
         self._last = stamp, odometry, compose(pose, inverse(odometry))
 
     def _doubts(self, live_map: LiveMap, hearing: Hearing, odometry: Float[ndarray, "3"] | None, silent: bool) -> str:

@@ -1,5 +1,6 @@
 """Places that an explorer leaves alone for now: nothing new was seen there, or it did not get there."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,23 +18,30 @@ TRIES = 2
 class _Aside:
     place: Float[ndarray, "2"]
     tries: int
-    level: int
+    levels: list[int]
     forgiven: bool = False
 
 
 class Asides:
-    """The places that are left alone, each at some level of daring and below."""
+    """The places that are left alone, each at some levels of daring and at all that dare less."""
 
-    def __init__(self) -> None:
+    def __init__(self, covers: Callable[[int, int], bool]) -> None:
+        """None yet.
+
+        Args:
+            covers: whether the first of two levels dares all that the second does.
+        """
+        self._covers = covers
         self._places: list[_Aside] = []
 
     def add(self, place: Float[ndarray, "2"], level: int) -> None:
-        """Leave a place (m) alone, at a level and all below."""
+        """Leave a place (m) alone, at a level and all that it covers."""
         for one in self._places:
             if np.linalg.norm(one.place - place) < SAME_M:
-                one.tries, one.level, one.forgiven = one.tries + 1, max(one.level, level), False
+                one.tries, one.forgiven = one.tries + 1, False
+                one.levels.append(level)
                 return
-        self._places.append(_Aside(place, 1, level))
+        self._places.append(_Aside(place, 1, [level]))
 
     def forgive(self) -> None:
         """Try once more what was left alone once: by now more is known around it."""
@@ -43,6 +51,8 @@ class Asides:
     def holds(self, place: Float[ndarray, "2"], level: int) -> bool:
         """Whether a place (m) is left alone at a level."""
         return any(
-            not one.forgiven and one.level >= level and np.linalg.norm(one.place - place) < SAME_M
+            not one.forgiven
+            and any(self._covers(tried, level) for tried in one.levels)
+            and np.linalg.norm(one.place - place) < SAME_M
             for one in self._places
         )

@@ -174,7 +174,7 @@ class Exploration:
             for frame in placing.add(heard):
                 self.on_frame(frame)
             if placing.made > made:
-                explorer.path = None  # by the map as it is now
+                explorer.remapped()
             if vehicle.bumps > bumps:
                 explorer.bumped(placing.mapper.around(*placing.pose[:2].tolist(), explorer.around_m()), placing.pose)
             if explorer.due(vehicle.time_s):

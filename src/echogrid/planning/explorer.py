@@ -8,11 +8,11 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.geometry import wrap
-from echogrid.grid import FREE_THRESH, Grid, logit
+from echogrid.grid import FREE_THRESH, P_MIN, Grid, logit
 from echogrid.planning.asides import SAME_M, Asides
-from echogrid.planning.clearance import Floor
+from echogrid.planning.clearance import Floor, gap
 from echogrid.planning.following import TURNED_RAD, Pace, follow, may_go, turn_by
-from echogrid.planning.frontiers import Edges, Frontier, edges
+from echogrid.planning.frontiers import LEAST_M2, Frontier, Reach, frontiers
 from echogrid.planning.paths import path_along
 from echogrid.robot import Robot
 
@@ -38,21 +38,42 @@ class Level(NamedTuple):
     """What is occupied with less than this is driven on."""
     looks: int
     """At a place that shows nothing new, from so many others; where more is dared the robot turns round at each."""
+    dear_m: float = 0.0
+    """Metres by which places of levels that dare less may be farther and are gone to all the same."""
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether it takes for doors what is more likely wall."""
+        return self.door_p > LIKELY_P
+
+    def covers(self, other: "Level") -> bool:
+        """Whether it dares all that another does."""
+        return self.door_p >= other.door_p and self.free_p >= other.free_p
+
+
+LIKELY_P = 0.9
 
 LEVELS: tuple[Level, ...] = (
-    Level(0.9, FREE_THRESH, 4),
-    Level(0.975, FREE_THRESH, 2),
-    Level(0.975, 0.4, 2),
-    Level(0.99, 0.4, 1),
+    Level(LIKELY_P, FREE_THRESH, 2),
+    Level(LIKELY_P, 0.4, 2),
+    Level(0.975, FREE_THRESH, 2, 1.0),
+    Level(0.975, 0.4, 2, 2.0),
+    Level(0.99, FREE_THRESH, 1, 2.0),
 )
-"""Each is for when nothing is left by the one before. Behind a door in a mirror room too little comes back for ground
-to be surely free: the third creeps on where it is likely so, and sees more from there. The last takes every weak spot
-of a wall for a door: one that was passed at a distance can be as occupied as that, though walls are more so."""
+"""Behind a door in a mirror room too little comes back for ground to be surely free: the second creeps on where it is
+likely so, and sees more from there. The last takes every weak spot of a wall for a door: one that was passed at a
+distance can be as occupied as that, though walls are more so. To creep on there as well would be to touch them: the
+ends of smooth walls look likely free."""
+
+ROOM_M2, LEAST_PROMISE_M2 = 0.5, 0.3
+"""What is likely wall is looked at only with so much room behind it, as it were open, and so much promise."""
+
+DOUBT_M, DOUBT_M2 = 25.0, 1.5
+"""Metres that such a place costs besides if it promises nothing; e times less with each so many m2 that it does."""
 
 LEAST_GAIN_M2 = 0.5
-"""What may be a door is looked at only where so much unknown ground is behind it, as it were open: between rooms that
-are known there is nothing to be found."""
+"""What is beyond the first level is looked at only where so much unknown ground is to be seen: between rooms that are
+known there is nothing to be found."""
 
 MOST_LOOKS, NEAR_M, FAR_M = 8, 0.7, 1.1
 """A place is come to again, from another place within FAR_M of it: looks from one and the same place tell the same.
@@ -60,6 +81,10 @@ After those of its level only while something new is seen within NEAR_M, and so 
 
 NEW_CELLS_M2 = 0.006
 """What has become free there by one look, at least, to be something new."""
+
+TRACK_P, TRACK_M = 0.9, 0.04
+"""Where the robot has been there was room for it: what is occupied with less than this there is free, for the posts
+of a door can look so near to each other afterwards that it would not get back. Places are kept so far apart, m."""
 
 BLOCKS = 4
 """A place on the way to which the robot had to stop so often is set aside."""
@@ -125,7 +150,8 @@ class Explorer:
         """Frontiers that remain when it is done, none of which showed anything new."""
         self._home: Float[ndarray, "2"] | None = None
         self._turn, self._heading = 2 * np.pi if self.turns else 0.0, None
-        self._asides = Asides()
+        self._asides = Asides(lambda tried, level: LEVELS[tried].covers(LEVELS[level]))
+        self._track: list[Float[ndarray, "2"]] = []
         self._bumps: list[Float[ndarray, "2"]] = []
         self._back_m = 0.0
         self._last: Float[ndarray, "2"] | None = None
@@ -189,21 +215,27 @@ class Explorer:
             return False
         goal = self.goal
         if goal is not None and self._level and (view := views[self._level]):  # it stays with what it dared
-            near = [one for one in view.found.frontiers if np.linalg.norm(one.place - goal.place) < SAME_M]
+            near = [one for one in view.frontiers if np.linalg.norm(one.place - goal.place) < SAME_M]
             if near and not self._asides.holds(goal.place, self._level):
                 self.goal = min(near, key=lambda one: float(np.linalg.norm(one.place - goal.place)))
                 self._go(view, self._looked_from(self.goal))
                 return True
+        best, worth = None, np.inf
         for number in range(self._lowest, len(LEVELS)):
+            if worth <= LEVELS[number].dear_m - MOST_GAIN_M2 * GAIN_M:
+                break  # nothing can be better
             view = views[number]
-            if view and (best := self._chosen(view.found, pose, number)):
-                if goal is None or np.linalg.norm(best.place - goal.place) > SAME_M:
-                    self._blocked, self._looks = 0, []
-                self.goal, self._level = best, number
-                self._go(view, self._looked_from(best))
-                return True
-        self.goal = None
-        return False
+            one = view and self._chosen(view.frontiers, pose, number)
+            if view and one and (its := self._worth(one, pose, number)) < worth:
+                best, worth = (one, number, view), its
+        if best is None:
+            self.goal = None
+            return False
+        if goal is None or np.linalg.norm(best[0].place - goal.place) > SAME_M:
+            self._blocked, self._looks = 0, []
+        self.goal, self._level, view = best
+        self._go(view, self._looked_from(self.goal))
+        return True
 
     def _looked_from(self, frontier: Frontier) -> tuple[int, int]:
         """Where to go: first where sonars hear what is beyond; afterwards close to it, for doors show only there."""
@@ -213,10 +245,23 @@ class Explorer:
         """The floor of a map, with what was touched. Walls of our maps are thicker than they are; that is margin."""
         radius_m, deaf_m = self.robot.footprint_radius_m, self.robot.deaf_m
         floor = Floor.of(grid, radius_m, RIM_M, 0.0, EASY_M, DEAR, free_p, deaf_m)
+        self._clear_track(floor)
         for place in self._bumps:
             if (cell := floor.cell(place)) is not None:
                 floor.grid.log_odds[cell], floor.grid.observed[cell] = 5.0, True
         return floor
+
+    def _clear_track(self, floor: Floor) -> None:
+        """Mark as free what lay under the footprint where the robot went, see TRACK_P."""
+        grid = floor.grid
+        index = grid.index_of(np.array(self._track).reshape(-1, 2))
+        index = index[np.all((index >= 0) & (index < grid.shape), axis=1)]
+        if not len(index):
+            return
+        been = np.zeros(grid.shape, dtype=bool)
+        been[tuple(index.T)] = True
+        swept = (gap(been, grid.resolution) < floor.radius_m) & (grid.log_odds < logit(TRACK_P))
+        grid.log_odds[swept], grid.observed[swept] = logit(P_MIN), True
 
     def drive(self, around: Grid, pose: Float[ndarray, "3"]) -> tuple[float, float]:
         """The velocity (m/s, rad/s) that wheels are to have now.
@@ -254,6 +299,8 @@ class Explorer:
         moved = 0.0 if self._last is None else float(np.linalg.norm(pose[:2] - self._last))
         self._way_m += moved
         self._last = pose[:2].copy()
+        if not self._track or np.linalg.norm(self._track[-1] - pose[:2]) > TRACK_M:
+            self._track.append(self._last)
         return moved
 
     @property
@@ -272,11 +319,16 @@ class Explorer:
         heading = goal.heading if there else float(np.arctan2(*(goal.place - end)[::-1]))
         return np.array([*end, heading])
 
+    def remapped(self) -> None:
+        """The map was made anew, by other poses: the way, and where the robot has been, are not as they were."""
+        self.path, self._track = None, []
+
     def give_up(self) -> None:
         """The robot does not get where it was sent."""
         if self.state == "returning":
             self._finish("something is in the way back")
         elif self.goal is not None:
+            self._level = len(LEVELS) - 1  # to dare more is no help
             self._set_aside(self.goal)
         self.path = None
 
@@ -347,8 +399,8 @@ class Explorer:
         """Go to a place from which to come again; whether there is one."""
         if self._view is None:
             return False
-        floor, found = self._view
-        cells = np.argwhere(found.reach)
+        floor, reach = self._view.floor, self._view.reach
+        cells = np.argwhere(reach.cells)
         places = floor.grid.centre_of(cells)
         off = np.linalg.norm(places - frontier.place, axis=1)
         fits = (off > SAME_M) & (off < FAR_M)
@@ -358,7 +410,7 @@ class Explorer:
         before = np.array(self._looks)
         apart = np.min(np.linalg.norm(places[:, None] - before, axis=2), axis=1)
         short = floor.short_m(cells, self.robot.deaf_m)
-        best = int(np.argmax(apart - 0.3 * found.to_go[tuple(cells.T)] - short))
+        best = int(np.argmax(apart - 0.3 * reach.to_go[tuple(cells.T)] - short))
         row, col = cells[best].tolist()
         self._looks.append(places[best])
         self._go(self._view, (row, col))
@@ -368,34 +420,36 @@ class Explorer:
         self._asides.add(frontier.place, self._level)
         self.goal, self._blocked, self._looks = None, 0, []
 
-    def _chosen(self, found: Edges, pose: Float[ndarray, "3"], level: int) -> Frontier | None:
+    def _chosen(self, found: list[Frontier], pose: Float[ndarray, "3"], number: int) -> Frontier | None:
         """Which frontier is worth most at a level; None: none is left."""
-        worthy = [one for one in found.frontiers if not level or one.gain_m2 >= LEAST_GAIN_M2]
-        fresh = [one for one in worthy if not self._asides.holds(one.place, level)]
-        if not fresh and level == self._lowest:  # before it dares more
+        worthy = [one for one in found if _worthy(one, number)]
+        fresh = [one for one in worthy if not self._asides.holds(one.place, number)]
+        if not fresh and number == self._lowest:  # before it dares more
             self._asides.forgive()
-            fresh = [one for one in worthy if not self._asides.holds(one.place, level)]
-        return min(fresh, key=lambda frontier: self._worth(frontier, pose), default=None)
+            fresh = [one for one in worthy if not self._asides.holds(one.place, number)]
+        return min(fresh, key=lambda frontier: self._worth(frontier, pose, number), default=None)
 
-    def _worth(self, frontier: Frontier, pose: Float[ndarray, "3"]) -> float:
+    def _worth(self, frontier: Frontier, pose: Float[ndarray, "3"], number: int) -> float:
         """What it costs to go there less what is to be seen, m."""
         to = frontier.place - pose[:2]
         turn = abs(float(wrap(np.arctan2(to[1], to[0]) - pose[2]))) if np.linalg.norm(to) > 0.1 else 0.0
-        worth = frontier.cost + TURN_M * turn - GAIN_M * min(frontier.gain_m2, MOST_GAIN_M2)
+        worth = frontier.cost + TURN_M * turn - GAIN_M * min(frontier.gain_m2, MOST_GAIN_M2) + LEVELS[number].dear_m
+        if LEVELS[number].doubtful:
+            worth += DOUBT_M * float(np.exp(-frontier.promise_m2 / DOUBT_M2))
         under_way = self.goal is not None and np.linalg.norm(frontier.place - self.goal.place) < SAME_M
         return worth - FAITH_M if under_way else worth
 
     def _go(self, view: "_View", cell: tuple[int, int]) -> None:
         self._view = view
         # The field leads to the robot; the way is the same backwards.
-        self.path = path_along(view.floor, view.floor.known_costs, view.found.to_go, cell).points[::-1]
+        self.path = path_along(view.floor, view.floor.known_costs, view.reach.to_go, cell).points[::-1]
 
     def _return(self, views: "_Views") -> None:
         """Go home, or as near to it as there is a way, daring no more than it takes."""
         home, best = self._home, None
         assert home is not None
         for number in range(self._least, len(LEVELS)):
-            if (view := views[number]) is None or (cell := view.floor.nearest(view.found.reach, home)) is None:
+            if (view := views[number]) is None or (cell := view.floor.nearest(view.reach.cells, home)) is None:
                 continue
             off = float(np.linalg.norm(view.floor.grid.centre_of(np.array(cell)) - home))
             if best is None or off < best[0] - SAME_M:
@@ -404,7 +458,7 @@ class Explorer:
             self._finish("no way leads back")
             return
         _, self._level, view, cell = best
-        self.left = view.found.frontiers
+        self.left = view.frontiers
         self._go(view, cell)
 
     def _note_news(self, grid: Grid, stamp: float) -> None:
@@ -423,11 +477,22 @@ class Explorer:
         self.state, self.end, self.path, self.goal = "done", why, None, None
 
 
+def _worthy(frontier: Frontier, number: int) -> bool:
+    """Whether a frontier is to be looked at, at a level."""
+    if LEVELS[number].doubtful and frontier.promise_m2 < LEAST_PROMISE_M2:
+        return False
+    return not number or frontier.gain_m2 >= LEAST_GAIN_M2
+
+
 class _View(NamedTuple):
     """What there is by a map at one level."""
 
-    floor: Floor
-    found: Edges
+    reach: Reach
+    frontiers: list[Frontier]
+
+    @property
+    def floor(self) -> Floor:
+        return self.reach.floor
 
 
 class _Views:
@@ -435,15 +500,23 @@ class _Views:
 
     def __init__(self, explorer: Explorer, grid: Grid, pose: Float[ndarray, "3"]):
         self._explorer, self._grid, self._pose = explorer, grid, pose
+        self._reaches: dict[float, Reach | None] = {}
         self._kept: dict[int, _View | None] = {}
 
     def __getitem__(self, number: int) -> _View | None:
         if number not in self._kept:
-            level = LEVELS[number]
-            floor = self._explorer.floor(self._grid, level.free_p)
-            at = _stand(floor, self._pose)
-            self._kept[number] = at and _View(floor, edges(floor, self._explorer.robot, at, level.door_p))
+            level, reach = LEVELS[number], self._reach(LEVELS[number].free_p)
+            room = ROOM_M2 if level.doubtful else LEAST_M2
+            robot = self._explorer.robot
+            self._kept[number] = None if reach is None else _View(reach, frontiers(reach, robot, level.door_p, room))
         return self._kept[number]
+
+    def _reach(self, free_p: float) -> Reach | None:
+        if free_p not in self._reaches:
+            floor = self._explorer.floor(self._grid, free_p)
+            at = _stand(floor, self._pose)
+            self._reaches[free_p] = None if at is None else Reach.of(floor, at)
+        return self._reaches[free_p]
 
 
 def _stand(floor: Floor, pose: Float[ndarray, "3"]) -> tuple[int, int] | None:
