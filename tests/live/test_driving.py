@@ -188,6 +188,16 @@ def test_a_pose_that_jumps_stops_it_for_good(driven, jump):
     assert driven.said("its place is in doubt: start echogrid live again") == 1
 
 
+def test_another_drive_ends_that_and_is_told_of(driven):
+    underway(driven)
+    driven.pose_ += np.array([1.0, 0.0, 0.0])
+    assert stands(driven, 0.5)
+    driven.live._driving._map = None  # as when the odometry begins anew
+    driven.go(0.5)
+    assert driven.said("another drive begins: it is explored from where the robot is now") == 1
+    assert not stands(driven, 20.0)
+
+
 def test_what_comes_into_the_way_stops_it(driven, monkeypatch):
     underway(driven)
     monkeypatch.setattr(Plan, "known_m", float(driven.pose_[0]) + 0.3)

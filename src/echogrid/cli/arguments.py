@@ -16,6 +16,7 @@ from tyro.conf import arg
 
 from echogrid.errors import UsageError, escaped
 from echogrid.frame import Frame, Log
+from echogrid.grid import Grid
 from echogrid.limits import HALF_LIFE, RESOLUTION
 from echogrid.logs.formats import load_log
 from echogrid.output.folder import drop_stale
@@ -75,6 +76,20 @@ def print_notes(log: Log) -> None:
     """Say what was left out of a log, or assumed."""
     for what, count in log.notes.items():
         print(f"note: {escaped(what)}" + (f" ({count} times)" if count else ""), file=sys.stderr)
+
+
+def open_map(path: Path) -> Grid:
+    """Read a map; what is doubtful about it is told.
+
+    Raises:
+        InputError: not there, damaged, or not a map.
+    """
+    from echogrid.output.map_file import read_map_noted
+
+    grid, doubt = read_map_noted(path)
+    if doubt:
+        print(escaped(f"note: {doubt}"), file=sys.stderr)
+    return grid
 
 
 def drop(folder: Path, besides: Collection[str] = (), log: str | None = None) -> None:

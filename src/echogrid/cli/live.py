@@ -16,7 +16,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import OmitArgPrefixes, arg
 
-from echogrid.cli.arguments import Ros, check_map, drop, start_pose
+from echogrid.cli.arguments import Ros, check_map, drop, open_map, start_pose
 from echogrid.cli.driving import Explores
 from echogrid.cli.network import domain_of, interface_of, stopped, where
 from echogrid.errors import EchogridError, UsageError, escaped
@@ -151,10 +151,9 @@ class Live:
             return None, None
         if self.slam:
             raise UsageError("--slam, --map: found both, expected one of the two")
-        from echogrid.output.map_file import read_map
         from echogrid.position.floor import check_start
 
-        grid, start = read_map(self.map), None if self.start is None else start_pose(self.start)
+        grid, start = open_map(self.map), None if self.start is None else start_pose(self.start)
         check_start(grid, start)
         if os.path.realpath(self.out) == os.path.realpath(self.map if self.map.is_dir() else self.map.parent):
             raise UsageError(f"--out: found {self.out}, the folder of the map, expected another one")

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from echogrid.cli.arguments import Ros, check_seed, open_log, print_notes, robot_arg, shown, start_pose
+from echogrid.cli.arguments import Ros, check_seed, open_log, open_map, print_notes, robot_arg, shown, start_pose
 from echogrid.errors import InputError, UsageError, escaped
 from echogrid.files import check_writable, made, replacing
 from echogrid.frame import Log
@@ -61,14 +61,14 @@ class Localise:
 
     def run(self) -> None:
         """Localise the log and write the folder."""
-        from echogrid.output.map_file import read_map, run_yaml
+        from echogrid.output.map_file import run_yaml
         from echogrid.output.map_picture import draw_map
         from echogrid.output.trajectory import write_tum
         from echogrid.position.localise import localise
 
         check_seed(self.seed)
         start = self._start()
-        grid = read_map(self.map)
+        grid = open_map(self.map)
         self._check_out()
         log, robot, named = open_log(self.log, self.robot, self.ros.choice())
         with made(self.out):

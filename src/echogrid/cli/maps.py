@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from echogrid.cli.arguments import Ros, check_map, drop, open_log, print_notes, robot_arg, shown
+from echogrid.cli.arguments import Ros, check_map, drop, open_log, open_map, print_notes, robot_arg, shown
 from echogrid.cli.poses import POSE_FILES, corrected, pose_files, pose_settings, report, write_poses
 from echogrid.errors import escaped
 from echogrid.files import made, printable, replacing
@@ -201,9 +201,9 @@ class Score:
     def run(self) -> None:
         """Print the scores."""
         from echogrid.metrics import check_overlap, score
-        from echogrid.output.map_file import read_map, read_truth
+        from echogrid.output.map_file import read_truth
 
-        grid, truth = read_map(self.map), read_truth(self.truth)
+        grid, truth = open_map(self.map), read_truth(self.truth)
         share = check_overlap(grid, truth, printable(self.map), printable(self.truth))
         if share < _COVERED:
             found = f"the map speaks of {share:.1%} of the truth's cells alone"

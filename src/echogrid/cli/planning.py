@@ -13,7 +13,7 @@ from numpy import ndarray
 from tqdm import tqdm
 from tyro.conf import Positional, arg
 
-from echogrid.cli.arguments import WORLD, check_physics, check_seed, drop, robot_arg, start_pose
+from echogrid.cli.arguments import WORLD, check_physics, check_seed, drop, open_map, robot_arg, start_pose
 from echogrid.cli.poses import TRAJECTORIES, write_trajectories
 from echogrid.errors import UsageError, escaped
 from echogrid.extras import need
@@ -26,6 +26,7 @@ from echogrid.simulation.world import World
 from echogrid.yaml_keys import Keys, parse_yaml
 
 if TYPE_CHECKING:
+    from echogrid.output.map_picture import Discs
     from echogrid.planning.explore import Explored
     from echogrid.planning.paths import Path as Way
 
@@ -56,12 +57,11 @@ class Plan:
 
     def run(self) -> None:
         """Plan, and write the folder."""
-        from echogrid.output.map_file import read_map
         from echogrid.output.map_picture import draw_map
         from echogrid.planning.paths import plan
 
         start, goal = (_point(given, f"--{name}") for name, given in (("from", self.from_), ("to", self.to)))
-        grid = read_map(self.map)
+        grid = open_map(self.map)
         robot = Robot.load(self.robot) if self.robot else _robot_of(self.map)
         way = plan(grid, start, goal, robot, self.unknown)
         with made(self.out):
@@ -69,7 +69,7 @@ class Plan:
                 check_writable(self.out / name)
             title = escaped(f"{self.map.name}, {robot.name}, {way.length_m:.2f} m")
             with replacing(self.out / "path.png") as picture, replacing(self.out / "path.csv") as table:
-                draw_map(picture, grid, way.points, title, drive="path")
+                draw_map(picture, grid, way.points, title, drive="path", discs=_discs(way, robot))
                 table.write_text(_csv(way), encoding="utf-8")
         if way.narrow is not None:
             print(
@@ -102,6 +102,14 @@ def _robot_of(path: Path) -> Robot:
         if isinstance(run.data.get("robot"), str):
             return parse_robot(run.data["robot"], f"{where}: robot")
     raise UsageError(f"--robot: found none, and no robot in {printable(record)}, expected a preset or a robot file")
+
+
+def _discs(way: "Way", robot: Robot) -> dict[str, "Discs"]:
+    """The footprint at both ends of a way, and where it is hardly wide enough."""
+    discs = {"footprint": ("tab:blue", way.points[[0, -1]], robot.footprint_radius_m)}
+    if way.narrow is not None:
+        discs["narrow"] = ("tab:red", np.array([way.narrow]), robot.footprint_radius_m)
+    return discs
 
 
 def _csv(way: "Way") -> str:

@@ -112,6 +112,11 @@ def read_map(path: str | Path) -> Grid:
     Raises:
         InputError: not there, damaged, or not a map; the message names the file and the array or key.
     """
+    return read_map_noted(path)[0]
+
+
+def read_map_noted(path: str | Path) -> tuple[Grid, str]:
+    """Likewise, and what is doubtful about the map, with its remedy, or ""."""
     path = Path(path)
     if os.path.isdir(path):
         names = [name for name in ("map.npz", "map.yaml") if os.path.isfile(path / name)]
@@ -130,7 +135,7 @@ def read_map(path: str | Path) -> Grid:
             log_odds = log_odds.astype(np.float32)
         if not np.isfinite(log_odds).all():
             raise InputError(f"{path}: log_odds", "nan or infinity", "finite log-odds")
-        return Grid(log_odds, observed, *_read_place(arrays, path), p_min=P_LEAST)
+        return Grid(log_odds, observed, *_read_place(arrays, path), p_min=P_LEAST), ""
 
 
 def write_truth(path: str | Path, truth: Truth) -> None:

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
 
+type Discs = tuple[str, Float[ndarray, "n _"], float]
+"""Colour, middles (m, world) and radius (m) of circles that are drawn to scale."""
+
+
 def draw_map(
     path: Path,
     grid: Grid,
@@ -30,15 +34,17 @@ def draw_map(
     odometry_world: Float[ndarray, "told _"] | None = None,
     drive: str = "drive",
     marks: Mapping[str, tuple[str, Float[ndarray, "n 2"]]] | None = None,
+    discs: Mapping[str, Discs] | None = None,
 ) -> None:
     """The picture for people, as PNG: what was observed of the map, the drive, and a key below.
 
     Where poses were corrected the drive as the odometry had it is there too. The key calls the line ``drive``.
-    ``marks``: points (m, world) to be marked, by what the key calls them, with their colour.
+    ``marks``: points (m, world) to be marked, by what the key calls them, with their colour; ``discs`` likewise.
     """
     # Without pyplot, which keeps figures in global state.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.patches import Circle
 
     way, told = _places(path_world), _places(np.empty((0, 2)) if odometry_world is None else odometry_world)
     image, *corners = _image(grid.observed_part() or grid)
@@ -68,6 +74,10 @@ def draw_map(
     for label, (colour, points) in (marks or {}).items():
         axes.plot(*points.T, "s", color=colour, ms=1.5, mew=0)
         axes.plot([], "s", color=colour, ms=7, label=label if len(points) else f"{label}: none")  # for the key
+    for label, (colour, middles, radius) in (discs or {}).items():
+        for x, y in middles[:, :2].tolist():
+            axes.add_patch(Circle((x, y), radius, fill=False, ec=colour, lw=1.5, zorder=3))
+        axes.plot([], "o", mfc="none", mec=colour, ms=8, label=label)  # for the key
     _draw_key(figure, axes, shown, inch_per_m)
     with warnings.catch_warnings():
         # A title in a script that the font lacks is drawn as boxes; that is no reason to bother anyone.

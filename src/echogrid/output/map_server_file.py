@@ -42,6 +42,9 @@ less free finds the same classes as in mode trinary, and so it does by ROS 1, wh
 _PERCENT_UNKNOWN = 255
 """The pixel of an unknown cell in mode raw."""
 
+LEAST_UNKNOWN = 0.01
+"""Less of a map in the grey of the unknown is no sign of who wrote it."""
+
 RESOLUTIONS_M, COORDINATES_M = (1e-4, 1e3), (-1e9, 1e9)
 """What the numbers of a map can be."""
 
@@ -61,8 +64,8 @@ def occupancy(grid: Grid) -> Int8[ndarray, "rows cols"]:
     return data
 
 
-def read_map_server(path: Path) -> Grid:
-    """A map.yaml and the PGM that it names, by the rules of Nav2's map_io.cpp."""
+def read_map_server(path: Path) -> tuple[Grid, str]:
+    """A map.yaml and the PGM that it names, by the rules of Nav2's map_io.cpp; and what is doubtful there, or ""."""
     raw = read_bytes(path, "a map_server file (YAML)", 1_000_000)
     try:
         keys = Keys(str(path), parse_yaml(raw.decode("utf-8"), str(path)))
@@ -86,7 +89,16 @@ def read_map_server(path: Path) -> Grid:
     shade = np.arange(white + 1) / white
     p = _occupancy(shade, mode, bool(keys.take("negate")), free_thresh, occupied_thresh)
     log_odds = np.where(np.isnan(p), 0.0, logit(np.clip(p, P_MIN, P_MAX))).astype(np.float32)
-    return Grid(log_odds[pixels], ~np.isnan(p)[pixels], resolution, (x, y))
+    grid = Grid(log_odds[pixels], ~np.isnan(p)[pixels], resolution, (x, y))
+    if white != 255 or keys.data["negate"] or p[PIXEL_UNKNOWN] != 0:
+        return grid, ""
+    share = float(np.mean(pixels == PIXEL_UNKNOWN))
+    if share < LEAST_UNKNOWN:
+        return grid, ""
+    return grid, (
+        f"{keys.at('free_thresh')} {free_thresh:g} makes the {share:.0%} of the cells free that are of grey "
+        f"{PIXEL_UNKNOWN}, which map_saver writes for unknown, as it does in Nav2; if they are, write 0.196 there"
+    )
 
 
 def _origin(keys: Keys) -> tuple[float, float, float]:

@@ -34,14 +34,14 @@ class Asides:
         self._covers = covers
         self._places: list[_Aside] = []
 
-    def add(self, place: Float[ndarray, "2"], level: int) -> None:
-        """Leave a place (m) alone, at a level and all that it covers."""
+    def add(self, place: Float[ndarray, "2"], *levels: int) -> None:
+        """Leave a place (m) alone, at some levels and all that these cover."""
         for one in self._places:
             if np.linalg.norm(one.place - place) < SAME_M:
                 one.tries, one.forgiven = one.tries + 1, False
-                one.levels.append(level)
+                one.levels += levels
                 return
-        self._places.append(_Aside(place, 1, [level]))
+        self._places.append(_Aside(place, 1, list(levels)))
 
     def forgive(self) -> None:
         """Try once more what was left alone once: by now more is known around it."""

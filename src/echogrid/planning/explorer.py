@@ -328,8 +328,7 @@ class Explorer:
         if self.state == "returning":
             self._finish("something is in the way back")
         elif self.goal is not None:
-            self._level = len(LEVELS) - 1  # to dare more is no help
-            self._set_aside(self.goal)
+            self._set_aside(self.goal, *range(len(LEVELS)))  # to dare more is no help
         self.path = None
 
     def _turned(self, heading: float) -> float:
@@ -416,8 +415,8 @@ class Explorer:
         self._go(self._view, (row, col))
         return True
 
-    def _set_aside(self, frontier: Frontier) -> None:
-        self._asides.add(frontier.place, self._level)
+    def _set_aside(self, frontier: Frontier, *levels: int) -> None:
+        self._asides.add(frontier.place, *(levels or (self._level,)))
         self.goal, self._blocked, self._looks = None, 0, []
 
     def _chosen(self, found: list[Frontier], pose: Float[ndarray, "3"], number: int) -> Frontier | None:
