@@ -206,7 +206,7 @@ def test_while_the_place_is_not_known_no_transform_is_told_and_an_initial_pose_m
     robot.go(WAY[30:60])
     assert any(said.startswith("initial pose: 2.05, 3.00 m, 0 degrees") for said in robot.notices)
     np.testing.assert_allclose(robot.sent(RobotPose)[-1].pose, WAY[59], atol=0.2)
-    assert len(robot.sent(Correction)) > 20
+    assert len(robot.sent(Correction)) > 10  # how many depends on the clock
 
 
 @pytest.mark.parametrize(

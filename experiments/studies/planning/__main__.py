@@ -1,12 +1,14 @@
 """Whether a robot can drive by our maps: paths between random places, and explorations of held-out buildings.
 
-    python -m experiments.studies.planning [pairs | exploring | slam | peer] [--pairs N] [--buildings N] [--out DIR]
+    python -m experiments.studies.planning [pairs | exploring | slam | peer | ideal]
+        [--pairs N] [--buildings N] [--out DIR]
 
 - pairs: N random pairs (170: 1,000 a kind of building) for each kind, walls and robot, planned on the map of a drive
   with given poses, driven by the path follower in the true world.
 - exploring: the explorer in 10 buildings x 3 kinds of walls x 2 robots.
 - slam: likewise with poses that are found.
 - peer: likewise the nearest frontier on the map of Nav2's range layer.
+- ideal: likewise with a map that is right wherever the robot sees: what the building costs, without what sonar does.
 
 Numbers go to docs/paper/planning_PART.json.
 """

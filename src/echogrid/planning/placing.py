@@ -118,11 +118,11 @@ class Found(Placing):
 
     def _settle(self, moved_m: float, moved_rad: float) -> None:
         """Make the map anew if a scan lies farther than this from where it was mapped."""
-        scans = self._finder.scans()
-        poses = np.array([scan.pose for scan in scans])
+        scans, poses = self._finder.placed()
         off = poses - np.array([self._mapped[scan.stamp] for scan in scans])
         if np.max(np.hypot(off[:, 0], off[:, 1])) <= moved_m and np.max(np.abs(wrap(off[:, 2]))) <= moved_rad:
             return
+        scans = [replace(scan, pose=pose) for scan, pose in zip(scans, poses, strict=True)]
         self.mapper = self._make(self._robot)
         self.mapper.add(scans)
         self.made += 1

@@ -224,10 +224,15 @@ class OnlineSlam:
         Args:
             begin: number of the first; those that were forgotten are left out.
         """
+        frames, poses = self.placed(begin)
+        return [replace(frame, pose=pose) for frame, pose in zip(frames, poses, strict=True)]
+
+    def placed(self, begin: int = 0) -> tuple[list[Frame], Float[ndarray, "scans 3"]]:
+        """Likewise as they were kept, and those poses beside them, which costs less."""
+        recent = list(self._recent)
         if (graph := self._anchored) is None:
-            return list(self._recent)[begin:]
+            return recent[begin:], np.array([frame.pose for frame in recent[begin:]]).reshape(-1, 3)
         last = min(max(graph.taken - begin, 0), len(graph.frames))
-        placed = zip(graph.frames[len(graph.frames) - last :], graph.frame_poses(last), strict=True)
         behind = len(graph.frames) - graph.cut[-1].middle + max(begin - graph.taken, 0)
-        rest = zip(list(self._recent)[behind:], self._since(graph)[behind:-1], strict=True)
-        return [replace(frame, pose=pose) for frame, pose in [*placed, *rest]]
+        frames = [*graph.frames[len(graph.frames) - last :], *recent[behind:]]
+        return frames, np.concatenate([graph.frame_poses(last), self._since(graph)[behind:-1]])
