@@ -1,8 +1,8 @@
 """Explorations of buildings that nothing was tuned on: what is seen, by what way, and what is touched."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -35,13 +35,13 @@ def explored(kind: str, number: int, walls: str, robot_name: str, part: str = "e
     place, robot = building(kind, walls, number), Robot.load(robot_name)
     start = np.array([*place.way[0], 0.0])
     chooser = Explorer(robot)
-    mapper: Any = Mapper
+    mapper: Callable[[Robot], Mapper] = Mapper
     if part == "peer":
         explorer.GAIN_M = explorer.TURN_M = explorer.FAITH_M = 0.0
         explorer.LEVELS = (explorer.Level(0.65, 0.25, 4),)
         mapper = partial(Mapper, model="nav2", resolution=0.05)
     elif part == "ideal":
-        mapper = lambda _: Sight(place.world)  # noqa: E731
+        mapper = cast("Callable[[Robot], Mapper]", lambda _: Sight(place.world))
     try:
         exploration = Exploration(
             place.world, robot, start, number, mapper=mapper, slam=part == "slam", explorer=chooser

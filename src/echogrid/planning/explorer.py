@@ -71,9 +71,9 @@ ROOM_M2, LEAST_PROMISE_M2 = 0.5, 0.3
 DOUBT_M, DOUBT_M2 = 25.0, 1.5
 """Metres that such a place costs besides if it promises nothing; e times less with each so many m2 that it does."""
 
-LEAST_GAIN_M2 = 0.5
-"""What is beyond the first level is looked at only where so much unknown ground is to be seen: between rooms that are
-known there is nothing to be found."""
+LEAST_GAIN_M2 = (0.25, 0.5)
+"""A place is looked at only where so much unknown ground is to be seen, at the first level and at the others: between
+rooms that are known there is nothing to be found, and who goes round a pillar to see its far side is deaf there."""
 
 MOST_LOOKS, NEAR_M, FAR_M = 8, 0.7, 1.1
 """A place is come to again, from another place within FAR_M of it: looks from one and the same place tell the same.
@@ -480,7 +480,7 @@ def _worthy(frontier: Frontier, number: int) -> bool:
     """Whether a frontier is to be looked at, at a level."""
     if LEVELS[number].doubtful and frontier.promise_m2 < LEAST_PROMISE_M2:
         return False
-    return not number or frontier.gain_m2 >= LEAST_GAIN_M2
+    return frontier.gain_m2 >= LEAST_GAIN_M2[min(number, 1)]
 
 
 class _View(NamedTuple):

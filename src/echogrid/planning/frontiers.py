@@ -26,6 +26,9 @@ APART_M = 1.5
 STAND_M = 0.4
 """So far from the edge the robot stands, at most, to look from where its sonars hear what is beyond."""
 
+LONE_M = 0.6
+"""What stands alone is at most so large, m; door leaves and posts hang together with walls."""
+
 REACH_M = 2.0
 """How far a look tells, m."""
 
@@ -87,6 +90,15 @@ class Reach:
         grid = self.floor.grid
         return ConvexHull(np.array(grid.origin) + grid.resolution * np.concatenate(corners)).equations
 
+    @cached_property
+    def lone(self) -> Bool[ndarray, "rows cols"]:
+        """What is occupied and stands alone, as pillars and legs do: no door, however unsure."""
+        pieces, _ = ndimage.label(self.floor.occupied, np.ones((3, 3)))
+        most = LONE_M / self.floor.grid.resolution
+        boxes = ndimage.find_objects(pieces)
+        small = [all(side.stop - side.start <= most for side in box) for box in boxes]
+        return np.array([False, *small])[pieces]
+
 
 def frontiers(reach: Reach, robot: Robot, sure: float, least_m2: float = LEAST_M2) -> list[Frontier]:
     """The frontiers of a floor, those nearest to the robot first.
@@ -98,7 +110,7 @@ def frontiers(reach: Reach, robot: Robot, sure: float, least_m2: float = LEAST_M
         least_m2: what is beyond must have so much room for the robot's middle.
     """
     floor = reach.floor
-    solid = floor.above(sure)
+    solid = floor.above(sure) | reach.lone
     groups = _groups(floor, _edge(floor, reach.cells, solid, least_m2), reach.to_go)
     return [_looked(reach, robot, solid, group) for group in groups]
 
