@@ -56,7 +56,7 @@ format: $(READY)  ## put the code into shape
 	$(BIN)/ruff format
 	$(BIN)/clang-format -i core/*.cpp core/*.hpp tests/core/*.cpp $(C)
 
-bench: $(READY)  ## speed and memory (about 14 minutes; python -m benchmarks.live hour takes 8 more)
+bench: $(READY)  ## speed and memory (about 20 minutes; python -m benchmarks.live hour takes 8 more)
 	$(BIN)/python -m benchmarks.simulator
 	$(BIN)/python -m benchmarks.mapping
 	$(BIN)/python -m benchmarks.models
@@ -64,6 +64,7 @@ bench: $(READY)  ## speed and memory (about 14 minutes; python -m benchmarks.liv
 	$(BIN)/python -m benchmarks.bags
 	$(BIN)/python -m benchmarks.core
 	$(BIN)/python -m benchmarks.mrpt
+	$(BIN)/python -m benchmarks.decision
 	$(BIN)/python -m benchmarks.live latency
 	$(BIN)/python -m benchmarks.live start
 	$(BIN)/python -m benchmarks.microcontroller

@@ -26,8 +26,9 @@ APART_M = 1.5
 STAND_M = 0.4
 """So far from the edge the robot stands, at most, to look from where its sonars hear what is beyond."""
 
-LONE_M = 0.6
-"""What stands alone is at most so large, m; door leaves and posts hang together with walls."""
+LONE_M, BESIDE_M, LONE_SHARE = 0.6, 0.16, 0.75
+"""What stands alone is at most so large, m, and so much of the ground within the second of it is free; what is heard
+of posts in a door has unknown ground behind it."""
 
 REACH_M = 2.0
 """How far a look tells, m."""
@@ -92,12 +93,17 @@ class Reach:
 
     @cached_property
     def lone(self) -> Bool[ndarray, "rows cols"]:
-        """What is occupied and stands alone, as pillars and legs do: no door, however unsure."""
-        pieces, _ = ndimage.label(self.floor.occupied, np.ones((3, 3)))
-        most = LONE_M / self.floor.grid.resolution
-        boxes = ndimage.find_objects(pieces)
-        small = [all(side.stop - side.start <= most for side in box) for box in boxes]
-        return np.array([False, *small])[pieces]
+        """What is occupied and stands alone on free ground, as pillars and legs do: no door, however unsure."""
+        floor, lone = self.floor, np.zeros_like(self.floor.free)
+        pieces, _ = ndimage.label(floor.occupied, np.ones((3, 3)))
+        most, by = LONE_M / floor.grid.resolution, round(BESIDE_M / floor.grid.resolution)
+        for number, box in enumerate(ndimage.find_objects(pieces), 1):
+            if all(side.stop - side.start <= most for side in box):
+                wider = tuple(slice(max(0, side.start - by), side.stop + by) for side in box)
+                piece = pieces[wider] == number
+                beside = ndimage.binary_dilation(piece, iterations=by) & ~piece
+                lone[wider] |= piece & (np.mean(floor.free[wider][beside]) > LONE_SHARE)
+        return lone
 
 
 def frontiers(reach: Reach, robot: Robot, sure: float, least_m2: float = LEAST_M2) -> list[Frontier]:
