@@ -220,14 +220,13 @@ class Explorer:
                 self.goal = min(near, key=lambda one: float(np.linalg.norm(one.place - goal.place)))
                 self._go(view, self._looked_from(self.goal))
                 return True
-        best, worth = None, np.inf
+        best, most = None, np.inf
         for number in range(self._lowest, len(LEVELS)):
-            if worth <= LEVELS[number].dear_m - MOST_GAIN_M2 * GAIN_M:
+            if most <= LEVELS[number].dear_m - MOST_GAIN_M2 * GAIN_M:
                 break  # nothing can be better
             view = views[number]
-            one = view and self._chosen(view.frontiers, pose, number)
-            if view and one and (its := self._worth(one, pose, number)) < worth:
-                best, worth = (one, number, view), its
+            if view and (choice := self._chosen(view.frontiers, pose, number, most)):
+                best, most = (choice.frontier, number, view), choice.worth
         if best is None:
             self.goal = None
             return False
@@ -419,14 +418,24 @@ class Explorer:
         self._asides.add(frontier.place, *(levels or (self._level,)))
         self.goal, self._blocked, self._looks = None, 0, []
 
-    def _chosen(self, found: list[Frontier], pose: Float[ndarray, "3"], number: int) -> Frontier | None:
-        """Which frontier is worth most at a level; None: none is left."""
-        worthy = [one for one in found if _worthy(one, number)]
-        fresh = [one for one in worthy if not self._asides.holds(one.place, number)]
-        if not fresh and number == self._lowest:  # before it dares more
+    def _chosen(self, found: list[Frontier], pose: Float[ndarray, "3"], number: int, most: float) -> "Choice | None":
+        """Which frontier is worth most at a level, if it costs less than ``most``; None: none is left that does."""
+        best = self._best(found, pose, number, most)
+        if best is None and number == self._lowest:  # before it dares more
             self._asides.forgive()
-            fresh = [one for one in worthy if not self._asides.holds(one.place, number)]
-        return min(fresh, key=lambda frontier: self._worth(frontier, pose, number), default=None)
+            best = self._best(found, pose, number, most)
+        return best
+
+    def _best(self, found: list[Frontier], pose: Float[ndarray, "3"], number: int, most: float) -> "Choice | None":
+        best = None
+        for one in found:
+            if one.cost + LEVELS[number].dear_m - GAIN_M * MOST_GAIN_M2 - FAITH_M >= most:
+                continue  # whatever it shows; to look at all takes long
+            if self._asides.holds(one.place, number) or not _worthy(one, number):
+                continue
+            if (worth := self._worth(one, pose, number)) < most:
+                best, most = Choice(one, worth), worth
+        return best
 
     def _worth(self, frontier: Frontier, pose: Float[ndarray, "3"], number: int) -> float:
         """What it costs to go there less what is to be seen, m."""
@@ -474,6 +483,13 @@ class Explorer:
 
     def _finish(self, why: str) -> None:
         self.state, self.end, self.path, self.goal = "done", why, None, None
+
+
+class Choice(NamedTuple):
+    """A frontier, and what it costs to go there less what is to be seen, m."""
+
+    frontier: Frontier
+    worth: float
 
 
 def _worthy(frontier: Frontier, number: int) -> bool:

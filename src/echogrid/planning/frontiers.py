@@ -1,6 +1,6 @@
 """Places that are worth a look: where the floor that is known to be free ends, though the robot might go on."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -41,29 +41,6 @@ MOST = 40
 
 
 @dataclass(frozen=True)
-class Frontier:
-    """A place at the edge of what is known, which the robot can get to."""
-
-    cell: tuple[int, int]
-    """Middle of the edge, [row, col]."""
-    place: Float[ndarray, "2"]
-    """Likewise, m."""
-    stand: tuple[int, int]
-    """Where the robot stands for its first look, [row, col], within STAND_M of that."""
-    cost: float
-    """Of the way there, as of ``Floor.costs``, m."""
-    heading: float
-    """Into which it sees most from there, rad."""
-    gain_m2: float
-    """Unknown ground that its sonars would see there."""
-    promise_m2: float
-    """Of that round it: what nothing occupied hides, and what lies within the hull of what is free; both count twice.
-    Weak spots of walls, and corners above all, have next to none: of 1,600 with less than 0.6 m2 one was a door."""
-    length_m: float
-    """Of the edge."""
-
-
-@dataclass(frozen=True)
 class Reach:
     """Where a robot gets to on a floor from one place, and what that costs."""
 
@@ -80,6 +57,11 @@ class Reach:
     def cells(self) -> Bool[ndarray, "rows cols"]:
         """Where the robot's middle can get to."""
         return np.isfinite(self.to_go)
+
+    @cached_property
+    def near(self) -> Bool[ndarray, "rows cols"]:
+        """Likewise, and what is within BEYOND_M of that."""
+        return _grown(self.cells, max(1, round(BEYOND_M / self.floor.grid.resolution)))
 
     @cached_property
     def hull(self) -> Float[ndarray, "sides 3"]:
@@ -106,6 +88,51 @@ class Reach:
         return lone
 
 
+@dataclass(frozen=True)
+class Frontier:
+    """A place at the edge of what is known, which the robot can get to. What it shows is looked up when asked for."""
+
+    cell: tuple[int, int]
+    """Middle of the edge, [row, col]."""
+    place: Float[ndarray, "2"]
+    """Likewise, m."""
+    cost: float
+    """Of the way there, as of ``Floor.costs``, m."""
+    length_m: float
+    """Of the edge."""
+    reach: Reach = field(repr=False)
+    robot: Robot = field(repr=False)
+    solid: Bool[ndarray, "rows cols"] = field(repr=False)
+    """Where a line of sight ends."""
+
+    @cached_property
+    def stand(self) -> tuple[int, int]:
+        """Where the robot stands for its first look, [row, col], within STAND_M of the edge."""
+        return _stand(self.reach.floor, self.robot, np.array(self.cell), self.reach.cells)
+
+    @property
+    def heading(self) -> float:
+        """Into which it sees most from there, rad."""
+        return self._seen[0]
+
+    @property
+    def gain_m2(self) -> float:
+        """Unknown ground that its sonars would see there."""
+        return self._seen[1]
+
+    @property
+    def promise_m2(self) -> float:
+        """Of that round it: what nothing occupied hides, and what lies within the hull of what is free; both count.
+
+        Weak spots of walls, and corners above all, have next to none: of 1,600 with less than 0.6 m2 one was a door.
+        """
+        return self._seen[2]
+
+    @cached_property
+    def _seen(self) -> tuple[float, float, float]:
+        return look(self.reach.floor, self.robot, self.place, self.solid, self.reach.hull)
+
+
 def frontiers(reach: Reach, robot: Robot, sure: float, least_m2: float = LEAST_M2) -> list[Frontier]:
     """The frontiers of a floor, those nearest to the robot first.
 
@@ -117,22 +144,26 @@ def frontiers(reach: Reach, robot: Robot, sure: float, least_m2: float = LEAST_M
     """
     floor = reach.floor
     solid = floor.above(sure) | reach.lone
-    groups = _groups(floor, _edge(floor, reach.cells, solid, least_m2), reach.to_go)
-    return [_looked(reach, robot, solid, group) for group in groups]
+    groups = _groups(floor, _edge(reach, solid, least_m2), reach.to_go)
+    found = []
+    for cells in groups:
+        # Near its middle, or the cell of it that is nearest to that.
+        edge = cells[np.argmin(np.linalg.norm(cells - np.mean(cells, axis=0), axis=1))]
+        row, col = edge.tolist()
+        length = len(cells) * floor.grid.resolution / max(1, round(BEYOND_M / floor.grid.resolution))
+        cost = float(reach.to_go[row, col])
+        found.append(Frontier((row, col), floor.grid.centre_of(edge), cost, length, reach, robot, solid))
+    return found
 
 
-def _edge(
-    floor: Floor, reach: Bool[ndarray, "rows cols"], solid: Bool[ndarray, "rows cols"], least_m2: float
-) -> Bool[ndarray, "rows cols"]:
+def _edge(reach: Reach, solid: Bool[ndarray, "rows cols"], least_m2: float) -> Bool[ndarray, "rows cols"]:
     """Cells in reach beside which there is room for the robot, unless what is unknown turns out occupied."""
-    size = floor.grid.resolution
-    cells = max(1, round(BEYOND_M / size))
-    maybe = (gap(solid, size) >= floor.radius_m) & ~reach
-    deep = maybe & ~_grown(reach, cells)
+    size = reach.floor.grid.resolution
+    deep = (gap(solid, size) >= reach.floor.radius_m) & ~reach.near
     pieces, count = ndimage.label(deep)
     room = np.bincount(pieces.ravel(), minlength=count + 1) * size**2 >= least_m2
     room[0] = False
-    return reach & _grown(room[pieces], cells + 1)
+    return reach.cells & _grown(room[pieces], max(1, round(BEYOND_M / size)) + 1)
 
 
 def _grown(cells: Bool[ndarray, "rows cols"], by: int) -> Bool[ndarray, "rows cols"]:
@@ -152,19 +183,6 @@ def _groups(
     _, group = np.unique(keys, axis=0, return_inverse=True)
     parts = [cells[group.ravel() == k] for k in range(group.max(initial=-1) + 1)]
     return sorted(parts, key=lambda part: float(np.min(to_go[tuple(part.T)])))[:MOST]
-
-
-def _looked(reach: Reach, robot: Robot, solid: Bool[ndarray, "rows cols"], cells: Int[ndarray, "n 2"]) -> Frontier:
-    """A frontier as it is seen from near its middle, or the cell of it that is nearest to that."""
-    floor = reach.floor
-    middle = np.mean(cells, axis=0)
-    edge = cells[np.argmin(np.linalg.norm(cells - middle, axis=1))]
-    row, col = edge.tolist()
-    place = floor.grid.centre_of(edge)
-    length = len(cells) * floor.grid.resolution / max(1, round(BEYOND_M / floor.grid.resolution))
-    stand = _stand(floor, robot, edge, reach.cells)
-    seen = look(floor, robot, place, solid, reach.hull)
-    return Frontier((row, col), place, stand, float(reach.to_go[row, col]), *seen, length)
 
 
 def _stand(floor: Floor, robot: Robot, edge: Int[ndarray, "2"], reach: Bool[ndarray, "rows cols"]) -> tuple[int, int]:
