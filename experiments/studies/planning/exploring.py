@@ -8,7 +8,8 @@ import numpy as np
 
 from echogrid import Mapper, Robot
 from echogrid.errors import EchogridError
-from echogrid.planning import explorer
+from echogrid.grid import FREE_THRESH, OCCUPIED_THRESH
+from echogrid.planning.choice import Level, Preferences
 from echogrid.planning.explore import Exploration
 from echogrid.planning.explorer import Explorer
 from experiments.common.report import record, rounded, table
@@ -37,8 +38,8 @@ def explored(kind: str, number: int, walls: str, robot_name: str, part: str = "e
     chooser = Explorer(robot)
     mapper: Callable[[Robot], Mapper] = Mapper
     if part == "peer":
-        explorer.GAIN_M = explorer.TURN_M = explorer.FAITH_M = 0.0
-        explorer.LEVELS = (explorer.Level(0.65, 0.25, 4),)
+        nearest = Preferences((Level(OCCUPIED_THRESH, FREE_THRESH, 4),), gain_m=0.0, turn_m=0.0, faith_m=0.0)
+        chooser = Explorer(robot, preferences=nearest)
         mapper = partial(Mapper, model="nav2", resolution=0.05)
     elif part == "ideal":
         mapper = cast("Callable[[Robot], Mapper]", lambda _: Sight(place.world))

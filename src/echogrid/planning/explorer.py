@@ -1,7 +1,8 @@
 """Where to go next on a map that grows, and how: until nothing is left that can be reached and is not known."""
 
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from functools import partial
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -10,70 +11,15 @@ from numpy import ndarray
 from echogrid.geometry import wrap
 from echogrid.grid import FREE_THRESH, P_MIN, Grid, logit
 from echogrid.planning.asides import SAME_M, Asides
+from echogrid.planning.choice import Choice, Preferences, View, Views
 from echogrid.planning.clearance import Floor, gap
 from echogrid.planning.following import TURNED_RAD, Pace, follow, may_go, turn_by
-from echogrid.planning.frontiers import LEAST_M2, Frontier, Reach, frontiers
+from echogrid.planning.frontiers import Frontier
 from echogrid.planning.paths import path_along
 from echogrid.robot import Robot
 
 THINK_S = 1.0
 """So often, at least, a robot that drives thinks about where to."""
-
-GAIN_M, MOST_GAIN_M2 = 1.0, 4.0
-"""Metres that a square metre of ground not yet seen is worth, up to so many of these."""
-
-TURN_M = 0.3
-"""Metres that a turn of one radian costs at the beginning of a way."""
-
-FAITH_M = 1.5
-"""Metres by which another place must be better than that to which the robot is under way."""
-
-
-class Level(NamedTuple):
-    """How much an explorer dares."""
-
-    door_p: float
-    """What is occupied with less than this may be a door: its posts, from afar, are heard all over it."""
-    free_p: float
-    """What is occupied with less than this is driven on."""
-    looks: int
-    """At a place that shows nothing new, from so many others; where more is dared the robot turns round at each."""
-    dear_m: float = 0.0
-    """Metres by which places of levels that dare less may be farther and are gone to all the same."""
-
-    @property
-    def doubtful(self) -> bool:
-        """Whether it takes for doors what is more likely wall."""
-        return self.door_p > LIKELY_P
-
-    def covers(self, other: "Level") -> bool:
-        """Whether it dares all that another does."""
-        return self.door_p >= other.door_p and self.free_p >= other.free_p
-
-
-LIKELY_P = 0.9
-
-LEVELS: tuple[Level, ...] = (
-    Level(LIKELY_P, FREE_THRESH, 2),
-    Level(LIKELY_P, 0.4, 2),
-    Level(0.975, FREE_THRESH, 2, 1.0),
-    Level(0.975, 0.4, 2, 2.0),
-    Level(0.99, FREE_THRESH, 1, 2.0),
-)
-"""Behind a door in a mirror room too little comes back for ground to be surely free: the second creeps on where it is
-likely so, and sees more from there. The last takes every weak spot of a wall for a door: one that was passed at a
-distance can be as occupied as that, though walls are more so. To creep on there as well would be to touch them: the
-ends of smooth walls look likely free."""
-
-ROOM_M2, LEAST_PROMISE_M2 = 0.5, 0.3
-"""What is likely wall is looked at only with so much room behind it, as it were open, and so much promise."""
-
-DOUBT_M, DOUBT_M2 = 25.0, 1.5
-"""Metres that such a place costs besides if it promises nothing; e times less with each so many m2 that it does."""
-
-LEAST_GAIN_M2 = (0.25, 0.5)
-"""A place is looked at only where so much unknown ground is to be seen, at the first level and at the others: between
-rooms that are known there is nothing to be found, and who goes round a pillar to see its far side is deaf there."""
 
 MOST_LOOKS, NEAR_M, FAR_M = 8, 0.7, 1.1
 """A place is come to again, from another place within FAR_M of it: looks from one and the same place tell the same.
@@ -103,9 +49,6 @@ NEW_M2 = 0.2
 
 AROUND_M = 1.6
 """Side of the square, beside the footprint, that is looked at at each step, m."""
-
-STEP_OFF_M = 0.4
-"""A robot that stands where it cannot be, by the map, looks so far around for a place to go to."""
 
 EASY_M, DEAR = 0.2, 3.0
 """As those of the floor; who explores keeps farther off, for the ends of smooth walls are hardly heard:
@@ -139,6 +82,8 @@ class Explorer:
     pace: Pace = field(default_factory=Pace)
     turns: bool = True
     """Whether it turns the robot round to look; somebody else who drives it does not."""
+    preferences: Preferences = field(default_factory=Preferences)
+    """Where it would rather go."""
 
     def __post_init__(self) -> None:
         self.state: State = "looking"
@@ -150,7 +95,7 @@ class Explorer:
         """Frontiers that remain when it is done, none of which showed anything new."""
         self._home: Float[ndarray, "2"] | None = None
         self._turn, self._heading = 2 * np.pi if self.turns else 0.0, None
-        self._asides = Asides(lambda tried, level: LEVELS[tried].covers(LEVELS[level]))
+        self._asides = Asides(self.preferences.covers)
         self._track: list[Float[ndarray, "2"]] = []
         self._bumps: list[Float[ndarray, "2"]] = []
         self._back_m = 0.0
@@ -158,7 +103,7 @@ class Explorer:
         self._thought_s, self._blocked, self._blocked_m = -np.inf, 0, 0.0
         self._looks: list[Float[ndarray, "2"]] = []
         self._free_m2 = 0.0
-        self._view: _View | None = None
+        self._view: View | None = None
         self._level = self._least = self._lowest = self._looks_back = 0
         self._way_m, self._news = 0.0, (0.0, 0.0, 0.0)
 
@@ -201,14 +146,14 @@ class Explorer:
         if self._home is None:
             self._home = pose[:2].copy()
         self._note_news(grid, stamp)
-        views = _Views(self, grid, pose)
-        if not any(views[number] for number in range(len(LEVELS))):
+        views = Views(partial(self.floor, grid), self.robot, pose, self.preferences.levels)
+        if not any(views[number] for number in range(len(self.preferences.levels))):
             self._finish("the robot stands where by the map it cannot be")
         elif self.state == "returning" or not self._explore(views, pose):
             self.state = "returning"
             self._return(views)
 
-    def _explore(self, views: "_Views", pose: Float[ndarray, "3"]) -> bool:
+    def _explore(self, views: Views, pose: Float[ndarray, "3"]) -> bool:
         """Choose where to go, daring no more than it takes; whether there is anything."""
         self.state = "exploring"
         if self.end:
@@ -221,8 +166,8 @@ class Explorer:
                 self._go(view, self._looked_from(self.goal))
                 return True
         best, most = None, np.inf
-        for number in range(self._lowest, len(LEVELS)):
-            if most <= LEVELS[number].dear_m - MOST_GAIN_M2 * GAIN_M:
+        for number in range(self._lowest, len(self.preferences.levels)):
+            if most <= self.preferences.least(number):
                 break  # nothing can be better
             view = views[number]
             if view and (choice := self._chosen(view.frontiers, pose, number, most)):
@@ -289,7 +234,7 @@ class Explorer:
         if velocity is None:
             self.arrived()
             return 0.0, 0.0
-        if self._level and (free_p := LEVELS[self._level].free_p) > FREE_THRESH:
+        if self._level and (free_p := self.preferences.levels[self._level].free_p) > FREE_THRESH:
             floor = self.floor(around, free_p)
         return velocity if may_go(floor, pose, velocity, self.pace) else self._stop()
 
@@ -327,7 +272,7 @@ class Explorer:
         if self.state == "returning":
             self._finish("something is in the way back")
         elif self.goal is not None:
-            self._set_aside(self.goal, *range(len(LEVELS)))  # to dare more is no help
+            self._set_aside(self.goal, *range(len(self.preferences.levels)))  # to dare more is no help
         self.path = None
 
     def _turned(self, heading: float) -> float:
@@ -346,7 +291,7 @@ class Explorer:
         self._blocked, self._blocked_m = 1 if on else self._blocked + 1, self._way_m
         if self._blocked >= BLOCKS and self.goal is not None:
             self._set_aside(self.goal)
-        elif self._blocked >= BLOCKS and self.state == "returning" and self._least < len(LEVELS) - 1:
+        elif self._blocked >= BLOCKS and self.state == "returning" and self._least < len(self.preferences.levels) - 1:
             self._least, self._blocked = self._least + 1, 0
         elif self._blocked >= BLOCKS and self.state == "returning":
             self._end_where_it_is()
@@ -368,7 +313,7 @@ class Explorer:
             free = self._free_near(self.goal)
             if self._looks:
                 news = free >= self._free_m2 + NEW_CELLS_M2
-                again = len(self._looks) < (MOST_LOOKS if news else LEVELS[self._level].looks)
+                again = len(self._looks) < (MOST_LOOKS if news else self.preferences.levels[self._level].looks)
                 if not again or not self._step_back(self.goal):
                     self._set_aside(self.goal)
                     return
@@ -418,45 +363,29 @@ class Explorer:
         self._asides.add(frontier.place, *(levels or (self._level,)))
         self.goal, self._blocked, self._looks = None, 0, []
 
-    def _chosen(self, found: list[Frontier], pose: Float[ndarray, "3"], number: int, most: float) -> "Choice | None":
+    def _chosen(self, found: list[Frontier], pose: Float[ndarray, "3"], number: int, most: float) -> Choice | None:
         """Which frontier is worth most at a level, if it costs less than ``most``; None: none is left that does."""
-        best = self._best(found, pose, number, most)
-        if best is None and number == self._lowest:  # before it dares more
+
+        def best() -> Choice | None:
+            fresh = (one for one in found if not self._asides.holds(one.place, number))
+            return self.preferences.best(fresh, pose, number, None if self.goal is None else self.goal.place, most)
+
+        choice = best()
+        if choice is None and number == self._lowest:  # before it dares more
             self._asides.forgive()
-            best = self._best(found, pose, number, most)
-        return best
+            choice = best()
+        return choice
 
-    def _best(self, found: list[Frontier], pose: Float[ndarray, "3"], number: int, most: float) -> "Choice | None":
-        best = None
-        for one in found:
-            if one.cost + LEVELS[number].dear_m - GAIN_M * MOST_GAIN_M2 - FAITH_M >= most:
-                continue  # whatever it shows; to look at all takes long
-            if self._asides.holds(one.place, number) or not _worthy(one, number):
-                continue
-            if (worth := self._worth(one, pose, number)) < most:
-                best, most = Choice(one, worth), worth
-        return best
-
-    def _worth(self, frontier: Frontier, pose: Float[ndarray, "3"], number: int) -> float:
-        """What it costs to go there less what is to be seen, m."""
-        to = frontier.place - pose[:2]
-        turn = abs(float(wrap(np.arctan2(to[1], to[0]) - pose[2]))) if np.linalg.norm(to) > 0.1 else 0.0
-        worth = frontier.cost + TURN_M * turn - GAIN_M * min(frontier.gain_m2, MOST_GAIN_M2) + LEVELS[number].dear_m
-        if LEVELS[number].doubtful:
-            worth += DOUBT_M * float(np.exp(-frontier.promise_m2 / DOUBT_M2))
-        under_way = self.goal is not None and np.linalg.norm(frontier.place - self.goal.place) < SAME_M
-        return worth - FAITH_M if under_way else worth
-
-    def _go(self, view: "_View", cell: tuple[int, int]) -> None:
+    def _go(self, view: View, cell: tuple[int, int]) -> None:
         self._view = view
         # The field leads to the robot; the way is the same backwards.
         self.path = path_along(view.floor, view.floor.known_costs, view.reach.to_go, cell).points[::-1]
 
-    def _return(self, views: "_Views") -> None:
+    def _return(self, views: Views) -> None:
         """Go home, or as near to it as there is a way, daring no more than it takes."""
         home, best = self._home, None
         assert home is not None
-        for number in range(self._least, len(LEVELS)):
+        for number in range(self._least, len(self.preferences.levels)):
             if (view := views[number]) is None or (cell := view.floor.nearest(view.reach.cells, home)) is None:
                 continue
             off = float(np.linalg.norm(view.floor.grid.centre_of(np.array(cell)) - home))
@@ -477,64 +406,9 @@ class Explorer:
         if area > known + NEW_M2 or self.state == "returning":
             self._news, self._lowest = (area, self._way_m, stamp), 0
         elif self._way_m - way > STUCK_M or stamp - since > STUCK_S:
-            if self._lowest == len(LEVELS) - 1:
+            if self._lowest == len(self.preferences.levels) - 1:
                 self.end = self.end or "nothing new was seen for a long way"
-            self._lowest, self._news = len(LEVELS) - 1, (known, self._way_m, stamp)
+            self._lowest, self._news = len(self.preferences.levels) - 1, (known, self._way_m, stamp)
 
     def _finish(self, why: str) -> None:
         self.state, self.end, self.path, self.goal = "done", why, None, None
-
-
-class Choice(NamedTuple):
-    """A frontier, and what it costs to go there less what is to be seen, m."""
-
-    frontier: Frontier
-    worth: float
-
-
-def _worthy(frontier: Frontier, number: int) -> bool:
-    """Whether a frontier is to be looked at, at a level."""
-    if LEVELS[number].doubtful and frontier.promise_m2 < LEAST_PROMISE_M2:
-        return False
-    return frontier.gain_m2 >= LEAST_GAIN_M2[min(number, 1)]
-
-
-class _View(NamedTuple):
-    """What there is by a map at one level."""
-
-    reach: Reach
-    frontiers: list[Frontier]
-
-    @property
-    def floor(self) -> Floor:
-        return self.reach.floor
-
-
-class _Views:
-    """Likewise at each level, worked out when it is asked for; None where the robot could not stand by it."""
-
-    def __init__(self, explorer: Explorer, grid: Grid, pose: Float[ndarray, "3"]):
-        self._explorer, self._grid, self._pose = explorer, grid, pose
-        self._reaches: dict[float, Reach | None] = {}
-        self._kept: dict[int, _View | None] = {}
-
-    def __getitem__(self, number: int) -> _View | None:
-        if number not in self._kept:
-            level, reach = LEVELS[number], self._reach(LEVELS[number].free_p)
-            room = ROOM_M2 if level.doubtful else LEAST_M2
-            robot = self._explorer.robot
-            self._kept[number] = None if reach is None else _View(reach, frontiers(reach, robot, level.door_p, room))
-        return self._kept[number]
-
-    def _reach(self, free_p: float) -> Reach | None:
-        if free_p not in self._reaches:
-            floor = self._explorer.floor(self._grid, free_p)
-            at = _stand(floor, self._pose)
-            self._reaches[free_p] = None if at is None else Reach.of(floor, at)
-        return self._reaches[free_p]
-
-
-def _stand(floor: Floor, pose: Float[ndarray, "3"]) -> tuple[int, int] | None:
-    """The cell in which the robot stands, or the nearest to it in which it could."""
-    cell, off = floor.standing(floor.known_costs, pose[:2])
-    return cell if off <= STEP_OFF_M else None
