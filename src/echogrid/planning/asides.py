@@ -1,7 +1,8 @@
 """Places that an explorer leaves alone for now: nothing new was seen there, or it did not get there."""
 
+from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -11,15 +12,16 @@ SAME_M = 0.6
 """Places so near to each other are the same, a moment later."""
 
 TRIES = 2
-"""A place that was left alone so often is not tried again."""
+"""A place that was left alone so often at a level is not tried there again."""
 
 
 @dataclass
 class _Aside:
     place: Float[ndarray, "2"]
-    tries: int
-    levels: list[int]
-    forgiven: bool = False
+    tries: Counter[int] = field(default_factory=Counter)
+    """How often it was left alone, by level."""
+    held: set[int] = field(default_factory=set)
+    """Levels at which it is now."""
 
 
 class Asides:
@@ -36,23 +38,22 @@ class Asides:
 
     def add(self, place: Float[ndarray, "2"], *levels: int) -> None:
         """Leave a place (m) alone, at some levels and all that these cover."""
-        for one in self._places:
-            if np.linalg.norm(one.place - place) < SAME_M:
-                one.tries, one.forgiven = one.tries + 1, False
-                one.levels += levels
-                return
-        self._places.append(_Aside(place, 1, list(levels)))
+        one = next((one for one in self._places if np.linalg.norm(one.place - place) < SAME_M), None)
+        if one is None:
+            self._places.append(one := _Aside(place))
+        one.tries.update(levels)
+        one.held.update(levels)
 
-    def forgive(self) -> None:
-        """Try once more what was left alone once: by now more is known around it."""
+    def forgive(self) -> bool:
+        """Let what was left alone once be tried once more: by now more is known around it. Whether anything was."""
+        before = [len(one.held) for one in self._places]
         for one in self._places:
-            one.forgiven = one.tries < TRIES
+            one.held = {level for level in one.held if one.tries[level] >= TRIES}
+        return before != [len(one.held) for one in self._places]
 
     def holds(self, place: Float[ndarray, "2"], level: int) -> bool:
         """Whether a place (m) is left alone at a level."""
         return any(
-            not one.forgiven
-            and any(self._covers(tried, level) for tried in one.levels)
-            and np.linalg.norm(one.place - place) < SAME_M
+            any(self._covers(held, level) for held in one.held) and np.linalg.norm(one.place - place) < SAME_M
             for one in self._places
         )

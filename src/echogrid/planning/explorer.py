@@ -11,7 +11,7 @@ from numpy import ndarray
 from echogrid.geometry import wrap
 from echogrid.grid import FREE_THRESH, P_MIN, Grid, logit
 from echogrid.planning.asides import SAME_M, Asides
-from echogrid.planning.choice import Choice, Preferences, View, Views
+from echogrid.planning.choice import Preferences, View, Views
 from echogrid.planning.clearance import Floor, gap
 from echogrid.planning.following import TURNED_RAD, Pace, follow, may_go, turn_by
 from echogrid.planning.frontiers import Frontier
@@ -165,13 +165,9 @@ class Explorer:
                 self.goal = min(near, key=lambda one: float(np.linalg.norm(one.place - goal.place)))
                 self._go(view, self._looked_from(self.goal))
                 return True
-        best, most = None, np.inf
-        for number in range(self._lowest, len(self.preferences.levels)):
-            if most <= self.preferences.least(number):
-                break  # nothing can be better
-            view = views[number]
-            if view and (choice := self._chosen(view.frontiers, pose, number, most)):
-                best, most = (choice.frontier, number, view), choice.worth
+        best = self._chosen(views, pose)
+        if best is None and self._asides.forgive():  # before it is done
+            best = self._chosen(views, pose)
         if best is None:
             self.goal = None
             return False
@@ -290,7 +286,10 @@ class Explorer:
         on = self._way_m - self._blocked_m > PAST_M
         self._blocked, self._blocked_m = 1 if on else self._blocked + 1, self._way_m
         if self._blocked >= BLOCKS and self.goal is not None:
-            self._set_aside(self.goal)
+            levels = self.preferences.levels  # to take more for doors is no help where the way is not free
+            self._set_aside(
+                self.goal, *(k for k, one in enumerate(levels) if one.free_p <= levels[self._level].free_p)
+            )
         elif self._blocked >= BLOCKS and self.state == "returning" and self._least < len(self.preferences.levels) - 1:
             self._least, self._blocked = self._least + 1, 0
         elif self._blocked >= BLOCKS and self.state == "returning":
@@ -363,18 +362,19 @@ class Explorer:
         self._asides.add(frontier.place, *(levels or (self._level,)))
         self.goal, self._blocked, self._looks = None, 0, []
 
-    def _chosen(self, found: list[Frontier], pose: Float[ndarray, "3"], number: int, most: float) -> Choice | None:
-        """Which frontier is worth most at a level, if it costs less than ``most``; None: none is left that does."""
-
-        def best() -> Choice | None:
-            fresh = (one for one in found if not self._asides.holds(one.place, number))
-            return self.preferences.best(fresh, pose, number, None if self.goal is None else self.goal.place, most)
-
-        choice = best()
-        if choice is None and number == self._lowest:  # before it dares more
-            self._asides.forgive()
-            choice = best()
-        return choice
+    def _chosen(self, views: Views, pose: Float[ndarray, "3"]) -> tuple[Frontier, int, View] | None:
+        """The frontier that is worth most, its level and how it is seen there; None: none is left."""
+        best, most = None, np.inf
+        goal = None if self.goal is None else self.goal.place
+        for number in range(self._lowest, len(self.preferences.levels)):
+            if most <= self.preferences.least(number):
+                break  # nothing can be better
+            if (view := views[number]) is None:
+                continue
+            fresh = (one for one in view.frontiers if not self._asides.holds(one.place, number))
+            if choice := self.preferences.best(fresh, pose, number, goal, most):
+                best, most = (choice.frontier, number, view), choice.worth
+        return best
 
     def _go(self, view: View, cell: tuple[int, int]) -> None:
         self._view = view
