@@ -194,7 +194,7 @@ def test_another_drive_ends_that_and_is_told_of(driven):
     assert stands(driven, 0.5)
     driven.live._driving._map = None  # as when the odometry begins anew
     driven.go(0.5)
-    assert driven.said("another drive begins: it is explored from where the robot is now") == 1
+    assert driven.said("another drive begins: it is explored from here on") == 1
     assert not stands(driven, 20.0)
 
 

@@ -160,7 +160,7 @@ class Driving:
         drives = live_map.placing.drives if isinstance(live_map.placing, Slam) else 0
         if self.explorer is None or live_map is not self._map or drives != self._number:
             if self.halted:
-                self.notices.append("another drive begins: it is explored from where the robot is now")
+                self.notices.append("another drive begins: it is explored from here on")
             self._map, self._number, self._array, self.halted = live_map, drives, robot, ""
             self.explorer = Explorer(
                 replace(robot, footprint_radius_m=radius), self._drives.pace, turns=self._drives.itself
