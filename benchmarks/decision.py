@@ -4,39 +4,17 @@ A building of two corridors and 16 rooms is explored until the map has MOST cell
 were made while what was seen of it had about so many. One thread; asked for are 50 ms at 250,000 cells.
 """
 
-import time
-from typing import override
-
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from echogrid import Robot, _core
 from echogrid.grid import Grid
 from echogrid.planning.explore import Exploration
 from echogrid.planning.explorer import Explorer
-from experiments.studies.position.buildings import building
+from experiments.studies.position.buildings import Building, building
 
 MOST, STEP = 300_000, 50_000
-
-
-class _Timed(Explorer):
-    """An explorer that notes how long it thinks, and ends when its map has MOST cells."""
-
-    def __init__(self, robot: Robot):
-        super().__init__(robot)
-        self.cells: list[int] = []
-        self.took_s: list[float] = []
-
-    @override
-    def think(self, grid: Grid, pose: Float[ndarray, "3"], stamp: float) -> None:
-        begin = time.perf_counter()
-        super().think(grid, pose, stamp)
-        self.took_s.append(time.perf_counter() - begin)
-        part = grid.observed_part()
-        self.cells.append(0 if part is None else part.observed.size)
-        if self.cells[-1] >= MOST:
-            self.state = "done"
 
 
 def main() -> None:
@@ -46,14 +24,27 @@ def main() -> None:
     print(f"{'robot':6} {'cells':>8} {'decisions':>9} {'median, ms':>10} {'90 %, ms':>8}")
     for name in ("b21", "p3dx"):
         robot = Robot.load(name)
-        explorer = _Timed(robot)
-        Exploration(place.world, robot, np.array([*place.way[0], 0.0]), explorer=explorer).run()
-        cells, took_ms = np.array(explorer.cells), 1000 * np.array(explorer.took_s)
+        seen, took_ms = _explored(place, robot)
         for size in range(0, MOST, STEP):
-            these = took_ms[(cells >= size) & (cells < size + STEP)]
+            these = took_ms[(seen >= size) & (seen < size + STEP)]
             if len(these):
                 middle, most = np.quantile(these, [0.5, 0.9])
                 print(f"{name:6} {size + STEP // 2:8} {len(these):9} {middle:10.1f} {most:8.1f}", flush=True)
+
+
+def _explored(place: Building, robot: Robot) -> tuple[Int[ndarray, "decisions"], Float[ndarray, "decisions"]]:
+    """Cells of the map at each decision of an exploration that ends at MOST, and time that this took, ms."""
+    explorer, cells = Explorer(robot), []
+
+    def note(grid: Grid) -> None:
+        part = grid.observed_part()
+        cells.append(0 if part is None else part.observed.size)
+        if cells[-1] >= MOST:
+            explorer.state = "done"
+
+    start = np.array([*place.way[0], 0.0])
+    found = Exploration(place.world, robot, start, explorer=explorer, on_map=note).run()
+    return np.array(cells), 1000 * found.decision_s
 
 
 if __name__ == "__main__":

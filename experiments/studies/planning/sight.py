@@ -7,6 +7,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid import Frame, Grid, World
+from experiments.studies.planning.tours import REACH_M
 
 CELL_M, RAY_RAD, MOVED_M, RIM_M = 0.05, np.deg2rad(0.7), 0.05, 0.5
 """Of the map; between the directions into which the robot looks; so far it moves before it looks again; round the
@@ -14,9 +15,6 @@ world."""
 
 SURE = 6.0
 """Log-odds of what was seen: surer than a weak spot of a wall."""
-
-REACH_M = 2.0
-"""As far as a place counts as seen by the tour."""
 
 
 class Sight:

@@ -1,7 +1,8 @@
 """What an explorer may choose from on a map, and what it would rather."""
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +46,7 @@ class Level(NamedTuple):
 
 
 LIKELY_P = 0.9
+"""What is occupied with more than this is more likely wall than door."""
 
 LEVELS: tuple[Level, ...] = (
     Level(LIKELY_P, FREE_THRESH, 2),
@@ -141,28 +143,34 @@ class Preferences:
         return worth - self.faith_m if under_way else worth
 
 
-class View(NamedTuple):
+@dataclass(frozen=True)
+class View:
     """What there is by a map at one level."""
 
     reach: Reach
-    frontiers: list[Frontier]
+    robot: Robot
+    level: Level
 
     @property
     def floor(self) -> Floor:
         """The map."""
         return self.reach.floor
 
+    @cached_property
+    def frontiers(self) -> list[Frontier]:
+        """Those nearest to the robot first."""
+        room = ROOM_M2 if self.level.doubtful else LEAST_M2
+        return frontiers(self.reach, self.robot, self.level.door_p, room)
+
 
 class Views:
     """Likewise at each level, worked out when it is asked for; None where the robot could not stand by it."""
 
-    def __init__(
-        self, floor: Callable[[float], Floor], robot: Robot, pose: Float[ndarray, "3"], levels: tuple[Level, ...]
-    ):
+    def __init__(self, floor: Floor, robot: Robot, pose: Float[ndarray, "3"], levels: tuple[Level, ...]):
         """Of one map.
 
         Args:
-            floor: the map, by what counts as free.
+            floor: the map.
             robot: for its sonars.
             pose: of it, m, m, rad.
             levels: how much it may dare.
@@ -174,14 +182,13 @@ class Views:
     def __getitem__(self, number: int) -> View | None:
         if number not in self._kept:
             level = self._levels[number]
-            reach, room = self._reach(level.free_p), ROOM_M2 if level.doubtful else LEAST_M2
-            found = None if reach is None else frontiers(reach, self._robot, level.door_p, room)
-            self._kept[number] = None if reach is None or found is None else View(reach, found)
+            reach = self._reach(level.free_p)
+            self._kept[number] = None if reach is None else View(reach, self._robot, level)
         return self._kept[number]
 
     def _reach(self, free_p: float) -> Reach | None:
         if free_p not in self._reaches:
-            floor = self._floor(free_p)
+            floor = replace(self._floor, free_p=free_p)
             cell, off = floor.standing(floor.known_costs, self._pose[:2])
             self._reaches[free_p] = Reach.of(floor, cell) if cell is not None and off <= STEP_OFF_M else None
         return self._reaches[free_p]

@@ -1,7 +1,6 @@
 """Where to go next on a map that grows, and how: until nothing is left that can be reached and is not known."""
 
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -96,7 +95,7 @@ class Explorer:
         self._home: Float[ndarray, "2"] | None = None
         self._turn, self._heading = 2 * np.pi if self.turns else 0.0, None
         self._asides = Asides(self.preferences.covers)
-        self._track: list[Float[ndarray, "2"]] = []
+        self._track: Float[ndarray, "n 2"] = np.empty((0, 2))
         self._bumps: list[Float[ndarray, "2"]] = []
         self._back_m = 0.0
         self._last: Float[ndarray, "2"] | None = None
@@ -146,7 +145,7 @@ class Explorer:
         if self._home is None:
             self._home = pose[:2].copy()
         self._note_news(grid, stamp)
-        views = Views(partial(self.floor, grid), self.robot, pose, self.preferences.levels)
+        views = Views(self.floor(grid), self.robot, pose, self.preferences.levels)
         if not any(views[number] for number in range(len(self.preferences.levels))):
             self._finish("the robot stands where by the map it cannot be")
         elif self.state == "returning" or not self._explore(views, pose):
@@ -181,10 +180,9 @@ class Explorer:
         """Where to go: first where sonars hear what is beyond; afterwards close to it, for doors show only there."""
         return frontier.cell if self._looks else frontier.stand
 
-    def floor(self, grid: Grid, free_p: float = FREE_THRESH) -> Floor:
+    def floor(self, grid: Grid) -> Floor:
         """The floor of a map, with what was touched. Walls of our maps are thicker than they are; that is margin."""
-        radius_m, deaf_m = self.robot.footprint_radius_m, self.robot.deaf_m
-        floor = Floor.of(grid, radius_m, RIM_M, 0.0, EASY_M, DEAR, free_p, deaf_m)
+        floor = Floor.of(grid, self.robot.footprint_radius_m, RIM_M, 0.0, EASY_M, DEAR, deaf_m=self.robot.deaf_m)
         self._clear_track(floor)
         for place in self._bumps:
             if (cell := floor.cell(place)) is not None:
@@ -194,7 +192,7 @@ class Explorer:
     def _clear_track(self, floor: Floor) -> None:
         """Mark as free what lay under the footprint where the robot went, see TRACK_P."""
         grid = floor.grid
-        index = grid.index_of(np.array(self._track).reshape(-1, 2))
+        index = grid.index_of(self._track)
         index = index[np.all((index >= 0) & (index < grid.shape), axis=1)]
         if not len(index):
             return
@@ -231,7 +229,7 @@ class Explorer:
             self.arrived()
             return 0.0, 0.0
         if self._level and (free_p := self.preferences.levels[self._level].free_p) > FREE_THRESH:
-            floor = self.floor(around, free_p)
+            floor = replace(floor, free_p=free_p)
         return velocity if may_go(floor, pose, velocity, self.pace) else self._stop()
 
     def note_way(self, pose: Float[ndarray, "3"]) -> float:
@@ -239,8 +237,8 @@ class Explorer:
         moved = 0.0 if self._last is None else float(np.linalg.norm(pose[:2] - self._last))
         self._way_m += moved
         self._last = pose[:2].copy()
-        if not self._track or np.linalg.norm(self._track[-1] - pose[:2]) > TRACK_M:
-            self._track.append(self._last)
+        if not len(self._track) or np.linalg.norm(self._track[-1] - pose[:2]) > TRACK_M:
+            self._track = np.vstack([self._track, self._last])
         return moved
 
     @property
@@ -261,7 +259,7 @@ class Explorer:
 
     def remapped(self) -> None:
         """The map was made anew, by other poses: the way, and where the robot has been, are not as they were."""
-        self.path, self._track = None, []
+        self.path, self._track = None, np.empty((0, 2))
 
     def give_up(self) -> None:
         """The robot does not get where it was sent."""

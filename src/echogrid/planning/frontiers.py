@@ -58,10 +58,15 @@ class Reach:
         """Where the robot's middle can get to."""
         return np.isfinite(self.to_go)
 
+    @property
+    def beyond(self) -> int:
+        """BEYOND_M in cells."""
+        return max(1, round(BEYOND_M / self.floor.grid.resolution))
+
     @cached_property
     def near(self) -> Bool[ndarray, "rows cols"]:
         """Likewise, and what is within BEYOND_M of that."""
-        return _grown(self.cells, max(1, round(BEYOND_M / self.floor.grid.resolution)))
+        return _grown(self.cells, self.beyond)
 
     @cached_property
     def hull(self) -> Float[ndarray, "sides 3"]:
@@ -98,8 +103,6 @@ class Frontier:
     """Likewise, m."""
     cost: float
     """Of the way there, as of ``Floor.costs``, m."""
-    length_m: float
-    """Of the edge."""
     reach: Reach = field(repr=False)
     robot: Robot = field(repr=False)
     solid: Bool[ndarray, "rows cols"] = field(repr=False)
@@ -150,9 +153,8 @@ def frontiers(reach: Reach, robot: Robot, sure: float, least_m2: float = LEAST_M
         # Near its middle, or the cell of it that is nearest to that.
         edge = cells[np.argmin(np.linalg.norm(cells - np.mean(cells, axis=0), axis=1))]
         row, col = edge.tolist()
-        length = len(cells) * floor.grid.resolution / max(1, round(BEYOND_M / floor.grid.resolution))
         cost = float(reach.to_go[row, col])
-        found.append(Frontier((row, col), floor.grid.centre_of(edge), cost, length, reach, robot, solid))
+        found.append(Frontier((row, col), floor.grid.centre_of(edge), cost, reach, robot, solid))
     return found
 
 
@@ -163,7 +165,7 @@ def _edge(reach: Reach, solid: Bool[ndarray, "rows cols"], least_m2: float) -> B
     pieces, count = ndimage.label(deep)
     room = np.bincount(pieces.ravel(), minlength=count + 1) * size**2 >= least_m2
     room[0] = False
-    return reach.cells & _grown(room[pieces], max(1, round(BEYOND_M / size)) + 1)
+    return reach.cells & _grown(room[pieces], reach.beyond + 1)
 
 
 def _grown(cells: Bool[ndarray, "rows cols"], by: int) -> Bool[ndarray, "rows cols"]:
