@@ -56,7 +56,7 @@ format: $(READY)  ## put the code into shape
 	$(BIN)/ruff format
 	$(BIN)/clang-format -i core/*.cpp core/*.hpp tests/core/*.cpp $(C)
 
-bench: $(READY)  ## speed and memory (about 20 minutes; python -m benchmarks.live hour takes 8 more)
+bench: $(READY)  ## speed and memory (about 16 minutes; python -m benchmarks.live hour takes 8 more)
 	$(BIN)/python -m benchmarks.simulator
 	$(BIN)/python -m benchmarks.mapping
 	$(BIN)/python -m benchmarks.models
