@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from echogrid.grid import Grid, logit
+from echogrid.planning.choice import LEVELS, Views
 from echogrid.planning.explorer import Explorer
 from echogrid.planning.frontiers import Reach
 from plan_drive import B21, FAR, STEP_S, WIDE, Drive, shut, two_rooms
@@ -74,6 +75,9 @@ def test_what_it_bumps_into_is_remembered_and_kept_away_from():
     cell = floor.cell(touched)
     assert cell is not None
     assert floor.occupied[cell]
+    assert np.isfinite(floor.known_costs).any()
+    keeps = floor.grid.centre_of(np.argwhere(np.isfinite(floor.known_costs)))
+    assert np.min(np.linalg.norm(keeps - touched, axis=1)) > B21.footprint_radius_m + 0.04
     assert drive.seen() > 0.98
 
 
@@ -148,6 +152,73 @@ def test_a_door_it_came_through_stays_open_though_posts_are_heard_in_it_afterwar
     assert way(grid()) == open_
     explorer.remapped()
     assert not way(grid())
+
+
+def test_a_robot_in_a_door_that_looks_too_narrow_goes_on_from_beside_it():
+    """Where it stands is a cell that it could not leave."""
+    p = np.full((80, 120), 0.02)
+    p[:, 58:60] = 0.99
+    p[30:50, 58:60] = 0.02
+    p[33:35, 60:62] = p[46:48, 60:62] = 0.5  # it looks narrower behind than it is
+    grid = Grid(logit(p).astype(np.float32), np.ones_like(p, dtype=bool), 0.05, (0.0, 0.0))
+    explorer = Explorer(B21)
+    floor = explorer.floor(grid)
+    at = floor.cell((3.0, 2.02))
+    assert at is not None
+    floor.known_costs[at[0] - 2 : at[0] + 3, at[1] - 2 : at[1] + 3] = np.inf
+    floor.known_costs[at] = 1.0
+    view = Views(floor, B21, np.array([3.0, 2.02, 0.0]), LEVELS)[0]
+    assert view is not None
+    assert np.count_nonzero(view.reach.cells) > 500
+    floor.known_costs[...] = np.inf
+    floor.known_costs[at] = 1.0
+    alone = Views(floor, B21, np.array([3.0, 2.02, 0.0]), LEVELS)[0]
+    assert alone is not None
+    assert np.count_nonzero(alone.reach.cells) == 1
+    floor.known_costs[at] = np.inf
+    assert Views(floor, B21, np.array([3.0, 2.02, 0.0]), LEVELS)[0] is None
+
+
+@pytest.mark.parametrize(("p_door", "level"), [(0.5, 0), (0.95, 2), (0.985, 4), (0.994, None)])
+def test_a_door_that_was_taken_for_a_wall_is_looked_at_before_it_is_done(p_door, level):
+    """It leads out of all that is known, and nothing behind it was ever heard: it promises next to nothing."""
+    p = np.full((100, 140), np.nan)
+    p[20:80, 20:100] = 0.02
+    p[20:24] = p[76:80] = np.where(np.isnan(p[20:24]), np.nan, 0.994)
+    p[20:80, 20:24] = p[20:80, 96:100] = 0.994
+    p[40:64, 96:100] = p_door
+    observed = ~np.isnan(p)
+    grid = Grid(logit(np.where(observed, p, 0.5)).astype(np.float32), observed, 0.04, (0.0, 0.0))
+    explorer = Explorer(B21, turns=False)
+    explorer.think(grid, np.array([2.0, 2.0, 0.0]), 0.0)
+    assert (explorer.goal is None) == (level is None)
+    if explorer.goal is not None:
+        assert math.dist(explorer.goal.place, (3.8, 2.0)) < 0.8
+        assert explorer._level >= level
+
+
+def test_a_place_left_alone_once_is_tried_again_before_walls_are_but_not_at_once():
+    p = np.full((100, 200), np.nan)
+    p[20:80, 20:180] = 0.02
+    p[20:24, 20:180] = p[76:80, 20:180] = 0.994
+    p[20:80, 20:24] = p[20:80, 176:180] = 0.994
+    p[40:64, 176:180] = 0.02  # a door, 6 m from a weak wall
+    p[40:64, 20:24] = 0.95
+    observed = ~np.isnan(p)
+    grid = Grid(logit(np.where(observed, p, 0.5)).astype(np.float32), observed, 0.04, (0.0, 0.0))
+    explorer = Explorer(B21, turns=False)
+    explorer.think(grid, np.array([4.0, 2.0, 0.0]), 0.0)
+    assert explorer.goal is not None
+    door = explorer.goal.place
+    assert math.dist(door, (7.0, 2.0)) < 0.8
+    explorer.give_up()
+    explorer.think(grid, np.array([6.0, 2.0, 0.0]), 1.0)
+    assert explorer.goal is not None
+    assert math.dist(explorer.goal.place, (0.95, 2.0)) < 0.8
+    explorer.goal = None
+    explorer.think(grid, np.array([2.0, 2.0, 0.0]), 2.0)
+    assert explorer.goal is not None
+    assert math.dist(explorer.goal.place, door) < 0.3
 
 
 @pytest.mark.parametrize("turn", [0.0, 2.0])

@@ -5,12 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from echogrid import Grid, Robot
 from echogrid.geometry import wrap
 from echogrid.grid import logit
-from echogrid.planning.clearance import Floor
-from echogrid.planning.frontiers import REACH_M, STAND_M, Reach, frontiers, look
+from echogrid.planning.clearance import Floor, gap, spread, swept
+from echogrid.planning.frontiers import REACH_M, STAND_M, Reach, _middle, frontiers, look
 
 CELL = 0.05
 B21 = Robot.load("b21")
@@ -131,6 +133,42 @@ def test_a_pillar_is_no_door_however_unsure():
     lone = np.argwhere(Reach.of(floor, at).lone)
     assert len(lone) == 80
     np.testing.assert_allclose(floor.grid.centre_of(lone).mean(axis=0), [1.2, 1.25], atol=1e-6)
+
+
+def test_it_comes_close_to_the_middle_of_an_edge_but_off_posts():
+    floor = floor_of(room())
+    row, first = floor.cell((2.0, 1.5)) or (0, 0)
+    in_the_open = np.array([(row, first + k) for k in range(9)])
+    assert _middle(floor, B21, in_the_open) == (row, first + 4)
+    wall = first + 38  # 40 cells of the room lie to the right of its middle, two of them wall
+    beside = np.array([(row, wall - 14 + k) for k in range(9)])
+    _, col = _middle(floor, B21, beside)
+    assert wall - 14 <= col < wall - 10
+    assert floor.gap_m[row, col] > floor.gap_m[row, wall - 10]
+
+
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(1, 30),
+    st.integers(1, 30),
+    st.floats(0.0, 0.6),
+    st.sampled_from([0.02, 0.05, 0.1]),
+)
+def test_what_a_disc_sweeps_is_what_is_nearer_than_its_radius(seed, rows, cols, radius_m, resolution):
+    random = np.random.default_rng(seed)
+    cells = random.random((rows, cols)) < random.choice([0.0, 0.02, 0.3])
+    for radius in (radius_m, round(radius_m / resolution) * resolution):
+        np.testing.assert_array_equal(swept(cells, radius, resolution), gap(cells, resolution) < radius)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 12), st.integers(0, 5), st.integers(0, 1))
+def test_cells_spread_along_one_axis(seed, rows, cols, by, axis):
+    cells = np.random.default_rng(seed).random((rows, cols)) < 0.2
+    expected = np.zeros_like(cells)
+    for row, col in np.argwhere(cells):
+        low, high = max(0, (row, col)[axis] - by), (row, col)[axis] + by + 1
+        expected[(slice(low, high), col) if axis == 0 else (row, slice(low, high))] = True
+    np.testing.assert_array_equal(spread(cells, by, axis), expected)
 
 
 def test_the_hull_holds_what_is_free_and_nothing_far_from_it():

@@ -44,11 +44,16 @@ class Asides:
         one.tries.update(levels)
         one.held.update(levels)
 
-    def forgive(self) -> bool:
-        """Let what was left alone once be tried once more: by now more is known around it. Whether anything was."""
+    def forgive(self, which: Callable[[Float[ndarray, "2"], set[int]], bool] = lambda _place, _levels: True) -> bool:
+        """Let what was left alone once be tried once more: by now more is known around it. Whether anything was.
+
+        Args:
+            which: whether a place (m) that is left alone at some levels is to be.
+        """
         before = [len(one.held) for one in self._places]
         for one in self._places:
-            one.held = {level for level in one.held if one.tries[level] >= TRIES}
+            if which(one.place, one.held):
+                one.held = {level for level in one.held if one.tries[level] >= TRIES}
         return before != [len(one.held) for one in self._places]
 
     def holds(self, place: Float[ndarray, "2"], level: int) -> bool:

@@ -1,12 +1,12 @@
 """What an explorer may choose from on a map, and what it would rather."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from echogrid.geometry import wrap
@@ -19,8 +19,9 @@ from echogrid.robot import Robot
 MOST_GAIN_M2 = 4.0
 """More unknown ground than this is worth no more."""
 
-STEP_OFF_M = 0.4
-"""A robot that stands where it cannot be, by the map, looks so far around for a place to go to."""
+STEP_OFF_M, ISLAND_M2 = 0.4, 0.1
+"""A robot that stands where it cannot be, by the map, or could go nowhere over more than the second, looks so far
+around for a place to go from: in a door whose posts look nearer than they are no way leads on or back."""
 
 
 class Level(NamedTuple):
@@ -34,6 +35,8 @@ class Level(NamedTuple):
     """At a place that shows nothing new, from so many others; where more is dared the robot turns round at each."""
     dear_m: float = 0.0
     """Metres by which places of levels that dare less may be farther and are gone to all the same."""
+    promise_m2: float = 0.0
+    """Places that promise less are not looked at."""
 
     @property
     def doubtful(self) -> bool:
@@ -48,20 +51,23 @@ class Level(NamedTuple):
 LIKELY_P = 0.9
 """What is occupied with more than this is more likely wall than door."""
 
+ROOM_M2, LEAST_PROMISE_M2 = 0.5, 0.3
+"""What is likely wall is looked at only with so much room behind it, as it were open, and so much promise, but for
+the last level's."""
+
 LEVELS: tuple[Level, ...] = (
     Level(LIKELY_P, FREE_THRESH, 2),
     Level(LIKELY_P, 0.4, 2),
-    Level(0.975, FREE_THRESH, 2, 1.0),
-    Level(0.975, 0.4, 2, 2.0),
-    Level(0.99, FREE_THRESH, 1, 2.0),
+    Level(0.975, FREE_THRESH, 2, 1.0, LEAST_PROMISE_M2),
+    Level(0.975, 0.4, 2, 2.0, LEAST_PROMISE_M2),
+    Level(0.99, FREE_THRESH, 1, 2.0, LEAST_PROMISE_M2),
+    Level(0.99, FREE_THRESH, 1, 100.0),
 )
 """Behind a door in a mirror room too little comes back for ground to be surely free: the second creeps on where it is
-likely so, and sees more from there. The last takes every weak spot of a wall for a door: one that was passed at a
+likely so, and sees more from there. The last two take every weak spot of a wall for a door: one that was passed at a
 distance can be as occupied as that, though walls are more so. To creep on there as well would be to touch them: the
-ends of smooth walls look likely free."""
-
-ROOM_M2, LEAST_PROMISE_M2 = 0.5, 0.3
-"""What is likely wall is looked at only with so much room behind it, as it were open, and so much promise."""
+ends of smooth walls look likely free. The very last is for when there is nothing else: a door that leads out of all
+that is known, behind which nothing was heard, promises nothing."""
 
 DOUBT_M, DOUBT_M2 = 25.0, 1.5
 """Metres that such a place costs besides if it promises nothing; e times less with each so many m2 that it does."""
@@ -126,7 +132,7 @@ class Preferences:
 
     def _worthy(self, frontier: Frontier, number: int) -> bool:
         """Whether a frontier is to be looked at, at a level."""
-        if self.levels[number].doubtful and frontier.promise_m2 < LEAST_PROMISE_M2:
+        if (least := self.levels[number].promise_m2) and frontier.promise_m2 < least:
             return False
         return frontier.gain_m2 >= LEAST_GAIN_M2[min(number, 1)]
 
@@ -188,7 +194,32 @@ class Views:
 
     def _reach(self, free_p: float) -> Reach | None:
         if free_p not in self._reaches:
-            floor = replace(self._floor, free_p=free_p)
-            cell, off = floor.standing(floor.known_costs, self._pose[:2])
-            self._reaches[free_p] = Reach.of(floor, cell) if cell is not None and off <= STEP_OFF_M else None
+            floor = self._floor if free_p == self._floor.free_p else self._floor.daring(free_p)
+            self._reaches[free_p] = _reach_from(floor, self._pose[:2])
         return self._reaches[free_p]
+
+
+def _reach_from(floor: Floor, place: Float[ndarray, "2"]) -> Reach | None:
+    """Where a robot gets to that is somewhere (m); None: it could not be there, nor near by."""
+    best, most = None, 0.0
+    cells = np.array([floor.grid.index_of(place)]) + _disc(STEP_OFF_M / floor.grid.resolution)
+    cells = cells[np.all((cells >= 0) & (cells < floor.grid.shape), axis=1)]
+    cells = cells[np.isfinite(floor.known_costs[tuple(cells.T)])]
+    cells = cells[np.argsort(np.linalg.norm(floor.grid.centre_of(cells) - place, axis=1), kind="stable")]
+    while len(cells):
+        row, col = cells[0].tolist()
+        reach = Reach.of(floor, (row, col))
+        area = float(np.count_nonzero(reach.cells)) * floor.grid.resolution**2
+        if area > most:
+            best, most = reach, area
+        if area >= ISLAND_M2:
+            break
+        cells = cells[~reach.cells[tuple(cells.T)]]
+    return best
+
+
+def _disc(radius: float) -> Int[ndarray, "n 2"]:
+    """The cells [row, col] of a lattice that are within a radius of the first of all."""
+    off = np.arange(-int(radius), int(radius) + 1)
+    cells = np.stack(np.meshgrid(off, off, indexing="ij"), axis=-1).reshape(-1, 2)
+    return cells[np.hypot(*cells.T) <= radius]

@@ -1,7 +1,7 @@
 """What of a map a robot may drive on: how far each cell is from what is in the way, and what a metre in it costs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -92,6 +92,13 @@ class Floor:
         rimmed = part.part(np.array([-rim, -rim]), (part.shape[0] + 2 * rim, part.shape[1] + 2 * rim))
         return Floor(rimmed, radius_m, margin_m, easy_m, dear, free_p, deaf_m)
 
+    def daring(self, free_p: float) -> "Floor":
+        """Likewise, but that what is occupied with less than another probability counts as free."""
+        other = replace(self, free_p=free_p)
+        # What is occupied is the same, and takes long to work out: each is a cached property.
+        other.__dict__.update(occupied=self.occupied, gap_m=self.gap_m)
+        return other
+
     @cached_property
     def occupied(self) -> Bool[ndarray, "rows cols"]:
         """Cells that were observed and have p > OCCUPIED_THRESH."""
@@ -149,12 +156,20 @@ class Floor:
         Args:
             unknown: whether the footprint may cover what is unknown, at UNKNOWN_COST a metre.
         """
-        beside = np.minimum(self.gap_m - np.float32(self.body_m), self.known_m - np.float32(self.radius_m))
-        costs = 1 + np.float32(self.dear) * np.exp(-np.maximum(beside, 0) / np.float32(self.easy_m))
+        costs = np.full(self.grid.shape, np.inf, np.float32)
+        known = self.known_m >= self.radius_m
+        if unknown:
+            costs[~known] = UNKNOWN_COST
+        clear = self.gap_m >= self.body_m
+        costs[~clear] = np.inf
+        open_ = known & clear
+        beside = np.minimum(
+            self.gap_m[open_] - np.float32(self.body_m), self.known_m[open_] - np.float32(self.radius_m)
+        )
+        each = 1 + np.float32(self.dear) * np.exp(-np.maximum(beside, 0) / np.float32(self.easy_m))
         if self.deaf_m:
-            costs += np.float32(DEAF_COST) * np.clip(1 - beside / np.float32(self.deaf_m), 0, 1)
-        costs[self.known_m < self.radius_m] = UNKNOWN_COST if unknown else np.inf
-        costs[self.gap_m < self.body_m] = np.inf
+            each += np.float32(DEAF_COST) * np.clip(1 - beside / np.float32(self.deaf_m), 0, 1)
+        costs[open_] = each
         return costs
 
     def cell(self, p_map: Float[ndarray, "2"] | Sequence[float]) -> tuple[int, int] | None:
@@ -211,3 +226,33 @@ class Sides:
 def gap(cells: Bool[ndarray, "rows cols"], resolution: float) -> Float32[ndarray, "rows cols"]:
     """From the middle of each cell to the nearest of some, m: half a cell less than between their middles."""
     return np.maximum(_core.distance(cells) - np.float32(0.5), 0) * np.float32(resolution)
+
+
+def swept(cells: Bool[ndarray, "rows cols"], radius_m: float, resolution: float) -> Bool[ndarray, "rows cols"]:
+    """Where ``gap`` is less than a radius (m): for one of some cells several times faster than by ``gap``."""
+    rows, cols = cells.shape
+    by = int(radius_m / resolution + 1.5)
+    off = np.arange(by + 1)
+    apart = np.hypot(off[:, None], off).astype(np.float32)
+    near = np.maximum(apart - np.float32(0.5), 0) * np.float32(resolution) < radius_m
+    found = np.zeros_like(cells)
+    rimmed = np.pad(cells, by)
+    widths = np.count_nonzero(near, axis=1)
+    for width in np.unique(widths[widths > 0]).tolist():  # its rows, from the middle on, that are equally wide
+        wide = spread(rimmed, width - 1, 1)[:, by : by + cols]
+        for aside in off[widths == width]:
+            found |= wide[by + aside : by + aside + rows]
+            found |= wide[by - aside : by - aside + rows]
+    return found
+
+
+def spread(cells: Bool[ndarray, "rows cols"], by: int, axis: int) -> Bool[ndarray, "rows cols"]:
+    """Cells within some of a marked one along an axis."""
+    grown = np.pad(cells, [(by, by) if each == axis else (0, 0) for each in range(2)])
+    along = np.moveaxis(grown, axis, 0)
+    span, size = 1, 2 * by + 1
+    while span < size:  # of a window that is twice as long each time
+        step = min(span, size - span)
+        along[:-step] |= along[step:]
+        span += step
+    return np.moveaxis(along[: cells.shape[axis]], 0, axis)

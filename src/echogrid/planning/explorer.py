@@ -1,6 +1,6 @@
 """Where to go next on a map that grows, and how: until nothing is left that can be reached and is not known."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -11,7 +11,7 @@ from echogrid.geometry import wrap
 from echogrid.grid import FREE_THRESH, P_MIN, Grid, logit
 from echogrid.planning.asides import SAME_M, Asides
 from echogrid.planning.choice import Preferences, View, Views
-from echogrid.planning.clearance import Floor, gap
+from echogrid.planning.clearance import Floor, swept
 from echogrid.planning.following import TURNED_RAD, Pace, follow, may_go, turn_by
 from echogrid.planning.frontiers import Frontier
 from echogrid.planning.paths import path_along
@@ -31,6 +31,9 @@ TRACK_P, TRACK_M = 0.9, 0.04
 """Where the robot has been there was room for it: what is occupied with less than this there is free, for the posts
 of a door can look so near to each other afterwards that it would not get back. Places are kept so far apart, m."""
 
+AFAR_M = 4.0
+"""A place that was left alone is tried again from so far off: at once it would look the same."""
+
 BLOCKS = 4
 """A place on the way to which the robot had to stop so often is set aside."""
 
@@ -40,7 +43,7 @@ PAST_M = 0.3
 LOOKS_BACK = 2
 """A robot to which the way home looks shut looks round so often before it gives up."""
 
-STUCK_M, STUCK_S = 40.0, 240.0
+STUCK_M, STUCK_S = 60.0, 360.0
 """A robot that has seen nothing new for such a way, or such a time, has seen what it can."""
 
 NEW_M2 = 0.2
@@ -60,8 +63,12 @@ FRONT_RAD, TOUCHED_M, AHEAD = np.deg2rad(np.arange(-90.0, 91.0, 10.0)), 0.12, 0.
 """Where a robot touches what it drives against, from forward, and so far beyond its footprint the map is looked up;
 what probability a radian aside is worth, where one place is as likely as the other."""
 
-BACK_M = 0.15
-"""Backwards from what was touched."""
+BACK_M, BUMP_M = 0.15, 0.05
+"""Backwards from what was touched, round which so much is taken to be occupied: where a robot touches anything the
+map is wrong by some centimetres, and it would touch it again."""
+
+AROUND = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
+"""A place and eight round it."""
 
 _KNOWN = "nothing that can be reached is unknown"
 
@@ -103,7 +110,7 @@ class Explorer:
         self._looks: list[Float[ndarray, "2"]] = []
         self._free_m2 = 0.0
         self._view: View | None = None
-        self._level = self._least = self._lowest = self._looks_back = 0
+        self._level = self._least = self._looks_back = 0
         self._way_m, self._news = 0.0, (0.0, 0.0, 0.0)
 
     def around_m(self) -> float:
@@ -165,7 +172,15 @@ class Explorer:
                 self._go(view, self._looked_from(self.goal))
                 return True
         best = self._chosen(views, pose)
-        if best is None and self._asides.forgive():  # before it is done
+        doubtful = [level.doubtful for level in self.preferences.levels]
+
+        def likely(place: Float[ndarray, "2"], levels: set[int]) -> bool:
+            return not all(doubtful[k] for k in levels) and float(np.linalg.norm(place - pose[:2])) > AFAR_M
+
+        # Before it looks at walls it tries likelier places once more, and all before it is done.
+        if best is not None and doubtful[best[1]] and self._asides.forgive(likely):
+            best = self._chosen(views, pose)
+        if best is None and self._asides.forgive():
             best = self._chosen(views, pose)
         if best is None:
             self.goal = None
@@ -184,9 +199,10 @@ class Explorer:
         """The floor of a map, with what was touched. Walls of our maps are thicker than they are; that is margin."""
         floor = Floor.of(grid, self.robot.footprint_radius_m, RIM_M, 0.0, EASY_M, DEAR, deaf_m=self.robot.deaf_m)
         self._clear_track(floor)
-        for place in self._bumps:
-            if (cell := floor.cell(place)) is not None:
-                floor.grid.log_odds[cell], floor.grid.observed[cell] = 5.0, True
+        for touched in self._bumps:
+            for place in touched + BUMP_M * AROUND:
+                if (cell := floor.cell(place)) is not None:
+                    floor.grid.log_odds[cell], floor.grid.observed[cell] = 5.0, True
         return floor
 
     def _clear_track(self, floor: Floor) -> None:
@@ -198,8 +214,8 @@ class Explorer:
             return
         been = np.zeros(grid.shape, dtype=bool)
         been[tuple(index.T)] = True
-        swept = (gap(been, grid.resolution) < floor.radius_m) & (grid.log_odds < logit(TRACK_P))
-        grid.log_odds[swept], grid.observed[swept] = logit(P_MIN), True
+        crossed = swept(been, floor.radius_m, grid.resolution) & (grid.log_odds < logit(TRACK_P))
+        grid.log_odds[crossed], grid.observed[crossed] = logit(P_MIN), True
 
     def drive(self, around: Grid, pose: Float[ndarray, "3"]) -> tuple[float, float]:
         """The velocity (m/s, rad/s) that wheels are to have now.
@@ -229,7 +245,7 @@ class Explorer:
             self.arrived()
             return 0.0, 0.0
         if self._level and (free_p := self.preferences.levels[self._level].free_p) > FREE_THRESH:
-            floor = replace(floor, free_p=free_p)
+            floor = floor.daring(free_p)
         return velocity if may_go(floor, pose, velocity, self.pace) else self._stop()
 
     def note_way(self, pose: Float[ndarray, "3"]) -> float:
@@ -364,7 +380,7 @@ class Explorer:
         """The frontier that is worth most, its level and how it is seen there; None: none is left."""
         best, most = None, np.inf
         goal = None if self.goal is None else self.goal.place
-        for number in range(self._lowest, len(self.preferences.levels)):
+        for number in range(len(self.preferences.levels)):
             if most <= self.preferences.least(number):
                 break  # nothing can be better
             if (view := views[number]) is None:
@@ -402,11 +418,9 @@ class Explorer:
         area = float(np.count_nonzero(free)) * grid.resolution**2
         known, way, since = self._news
         if area > known + NEW_M2 or self.state == "returning":
-            self._news, self._lowest = (area, self._way_m, stamp), 0
+            self._news = area, self._way_m, stamp
         elif self._way_m - way > STUCK_M or stamp - since > STUCK_S:
-            if self._lowest == len(self.preferences.levels) - 1:
-                self.end = self.end or "nothing new was seen for a long way"
-            self._lowest, self._news = len(self.preferences.levels) - 1, (known, self._way_m, stamp)
+            self.end = self.end or "nothing new was seen for a long way"
 
     def _finish(self, why: str) -> None:
         self.state, self.end, self.path, self.goal = "done", why, None, None

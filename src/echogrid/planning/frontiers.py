@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 
 from echogrid import _core
 from echogrid.geometry import wrap
-from echogrid.planning.clearance import Floor, gap
+from echogrid.planning.clearance import Floor, spread, swept
 from echogrid.robot import Robot
 
 BEYOND_M = 0.15
@@ -25,6 +25,9 @@ APART_M = 1.5
 
 STAND_M = 0.4
 """So far from the edge the robot stands, at most, to look from where its sonars hear what is beyond."""
+
+ROOM_WORTH = 2.0
+"""Where a robot stands each centimetre of range that it hears is worth so many of way."""
 
 LONE_M, BESIDE_M, LONE_SHARE = 0.6, 0.16, 0.75
 """What stands alone is at most so large, m, and so much of the ground within the second of it is free; what is heard
@@ -150,27 +153,32 @@ def frontiers(reach: Reach, robot: Robot, sure: float, least_m2: float = LEAST_M
     groups = _groups(floor, _edge(reach, solid, least_m2), reach.to_go)
     found = []
     for cells in groups:
-        # Near its middle, or the cell of it that is nearest to that.
-        edge = cells[np.argmin(np.linalg.norm(cells - np.mean(cells, axis=0), axis=1))]
-        row, col = edge.tolist()
-        cost = float(reach.to_go[row, col])
-        found.append(Frontier((row, col), floor.grid.centre_of(edge), cost, reach, robot, solid))
+        cell = _middle(floor, robot, cells)
+        place = floor.grid.centre_of(np.array(cell))
+        found.append(Frontier(cell, place, float(reach.to_go[cell]), reach, robot, solid))
     return found
+
+
+def _middle(floor: Floor, robot: Robot, cells: Int[ndarray, "n 2"]) -> tuple[int, int]:
+    """The cell of an edge that is nearest to its middle, but rather where there is room."""
+    off = np.linalg.norm(cells - np.mean(cells, axis=0), axis=1) * floor.grid.resolution
+    row, col = cells[np.argmin(off + ROOM_WORTH * floor.short_m(cells, robot.deaf_m))].tolist()
+    return row, col
 
 
 def _edge(reach: Reach, solid: Bool[ndarray, "rows cols"], least_m2: float) -> Bool[ndarray, "rows cols"]:
     """Cells in reach beside which there is room for the robot, unless what is unknown turns out occupied."""
     size = reach.floor.grid.resolution
-    deep = (gap(solid, size) >= reach.floor.radius_m) & ~reach.near
+    deep = ~(swept(solid, reach.floor.radius_m, size) | reach.near)
     pieces, count = ndimage.label(deep)
     room = np.bincount(pieces.ravel(), minlength=count + 1) * size**2 >= least_m2
     room[0] = False
-    return reach.cells & _grown(room[pieces], reach.beyond + 1)
+    return reach.cells & _grown(np.take(room, pieces), reach.beyond + 1)
 
 
 def _grown(cells: Bool[ndarray, "rows cols"], by: int) -> Bool[ndarray, "rows cols"]:
     """Cells within some of a square round each."""
-    return ndimage.maximum_filter(cells.view(np.uint8), 2 * by + 1).view(bool)
+    return spread(spread(cells, by, 0), by, 1)
 
 
 def _groups(
@@ -178,7 +186,7 @@ def _groups(
 ) -> list[Int[ndarray, "n 2"]]:
     """The cells of each frontier, those nearest to the robot first; long ones in parts."""
     labels, _ = ndimage.label(edge, np.ones((3, 3)))
-    cells = np.argwhere(edge)
+    cells = np.column_stack(np.divmod(np.flatnonzero(edge), edge.shape[1]))  # argwhere takes longer
     # Parts by squares of the lattice, so that they stay the same while the map grows.
     square = np.floor(floor.grid.centre_of(cells) / APART_M).astype(int)
     keys = np.column_stack([labels[tuple(cells.T)], square])
@@ -194,8 +202,7 @@ def _stand(floor: Floor, robot: Robot, edge: Int[ndarray, "2"], reach: Bool[ndar
     near = np.argwhere(reach[first[0] : last[0], first[1] : last[1]]) + first
     off = np.linalg.norm(near - edge, axis=1) * floor.grid.resolution
     near, off = near[off <= STAND_M], off[off <= STAND_M]
-    # Each centimetre of range is worth two of way.
-    for cell in near[np.argsort(off + 2 * floor.short_m(near, robot.deaf_m), kind="stable")]:
+    for cell in near[np.argsort(off + ROOM_WORTH * floor.short_m(near, robot.deaf_m), kind="stable")]:
         between = np.rint(np.linspace(edge, cell, 2 * by + 1)).astype(int)
         if reach[tuple(between.T)].all():
             row, col = cell.tolist()
