@@ -43,8 +43,9 @@ PAST_M = 0.3
 LOOKS_BACK = 2
 """A robot to which the way home looks shut looks round so often before it gives up."""
 
-STUCK_M, STUCK_S = 60.0, 360.0
-"""A robot that has seen nothing new for such a way, or such a time, has seen what it can."""
+STUCK_M, STUCK_S, FAITH = 60.0, 360.0, 0.2
+"""A robot that has looked at walls for such a way, or such a time, and has seen nothing new, has seen what it can; on
+the way to likelier places each metre and second counts so much: in a large building they are far."""
 
 NEW_M2 = 0.2
 """Less than this is nothing new: a robot that stands about hears a little more of what it knows for ever."""
@@ -111,7 +112,8 @@ class Explorer:
         self._free_m2 = 0.0
         self._view: View | None = None
         self._level = self._least = self._looks_back = 0
-        self._way_m, self._news = 0.0, (0.0, 0.0, 0.0)
+        self._way_m, self._known_m2 = 0.0, 0.0
+        self._vain, self._counted = np.zeros(2), np.zeros(2)
 
     def around_m(self) -> float:
         """Side of the square round the robot that ``drive`` is to be given, m."""
@@ -150,7 +152,7 @@ class Explorer:
         """
         self._thought_s = stamp
         if self._home is None:
-            self._home = pose[:2].copy()
+            self._home, self._counted = pose[:2].copy(), np.array([self._way_m, stamp])
         self._note_news(grid, stamp)
         views = Views(self.floor(grid), self.robot, pose, self.preferences.levels)
         if not any(views[number] for number in range(len(self.preferences.levels))):
@@ -413,13 +415,15 @@ class Explorer:
         self._go(view, cell)
 
     def _note_news(self, grid: Grid, stamp: float) -> None:
-        """Take down how much floor is known, and see whether that still grows."""
+        """Take down how much floor is known, and for what way and time that has not grown."""
         free = grid.observed & (grid.log_odds < logit(FREE_THRESH))
         area = float(np.count_nonzero(free)) * grid.resolution**2
-        known, way, since = self._news
-        if area > known + NEW_M2 or self.state == "returning":
-            self._news = area, self._way_m, stamp
-        elif self._way_m - way > STUCK_M or stamp - since > STUCK_S:
+        now = np.array([self._way_m, stamp])
+        self._vain += (now - self._counted) * (1.0 if self.preferences.levels[self._level].doubtful else FAITH)
+        self._counted = now
+        if area > self._known_m2 + NEW_M2 or self.state == "returning":
+            self._known_m2, self._vain = area, np.zeros(2)
+        elif np.any(self._vain > (STUCK_M, STUCK_S)):
             self.end = self.end or "nothing new was seen for a long way"
 
     def _finish(self, why: str) -> None:
