@@ -44,8 +44,11 @@ class Level(NamedTuple):
         return self.door_p > LIKELY_P
 
     def covers(self, other: "Level") -> bool:
-        """Whether it dares all that another does."""
-        return self.door_p >= other.door_p and self.free_p >= other.free_p
+        """Whether it dares all that another does, a place being as doubtful by both.
+
+        What was like a wall and is like a door by now is worth looks of its own.
+        """
+        return self.door_p >= other.door_p and self.free_p >= other.free_p and self.doubtful == other.doubtful
 
 
 LIKELY_P = 0.9

@@ -194,8 +194,13 @@ class Explorer:
         return True
 
     def _looked_from(self, frontier: Frontier) -> tuple[int, int]:
-        """Where to go: first where sonars hear what is beyond; afterwards close to it, for doors show only there."""
-        return frontier.cell if self._looks else frontier.stand
+        """Where to go: first where sonars hear what is beyond; afterwards close to it, for doors show only there.
+
+        Not as close to what is more likely wall: its corners may be mapped by some centimetres too far off.
+        """
+        if not self._looks:
+            return frontier.stand
+        return frontier.off_walls if self.preferences.levels[self._level].doubtful else frontier.cell
 
     def floor(self, grid: Grid) -> Floor:
         """The floor of a map, with what was touched. Walls of our maps are thicker than they are; that is margin."""

@@ -114,7 +114,12 @@ class Frontier:
     @cached_property
     def stand(self) -> tuple[int, int]:
         """Where the robot stands for its first look, [row, col], within STAND_M of the edge."""
-        return _stand(self.reach.floor, self.robot, np.array(self.cell), self.reach.cells)
+        return _stand(self.reach.floor, self.robot.deaf_m, np.array(self.cell), self.reach.cells)
+
+    @property
+    def off_walls(self) -> tuple[int, int]:
+        """Likewise nearer to the edge, where there is half that room."""
+        return _stand(self.reach.floor, self.robot.deaf_m / 2, np.array(self.cell), self.reach.cells)
 
     @property
     def heading(self) -> float:
@@ -195,14 +200,16 @@ def _groups(
     return sorted(parts, key=lambda part: float(np.min(to_go[tuple(part.T)])))[:MOST]
 
 
-def _stand(floor: Floor, robot: Robot, edge: Int[ndarray, "2"], reach: Bool[ndarray, "rows cols"]) -> tuple[int, int]:
-    """The cell in reach near one at an edge, straight ahead of it, from which sonars hear what is not known best."""
+def _stand(
+    floor: Floor, deaf_m: float, edge: Int[ndarray, "2"], reach: Bool[ndarray, "rows cols"]
+) -> tuple[int, int]:
+    """The cell in reach near one at an edge, straight ahead of it, so far (m) off what is not known as can be."""
     by = int(STAND_M / floor.grid.resolution)
     first, last = np.maximum(edge - by, 0), np.minimum(edge + by + 1, floor.grid.shape)
     near = np.argwhere(reach[first[0] : last[0], first[1] : last[1]]) + first
     off = np.linalg.norm(near - edge, axis=1) * floor.grid.resolution
     near, off = near[off <= STAND_M], off[off <= STAND_M]
-    for cell in near[np.argsort(off + ROOM_WORTH * floor.short_m(near, robot.deaf_m), kind="stable")]:
+    for cell in near[np.argsort(off + ROOM_WORTH * floor.short_m(near, deaf_m), kind="stable")]:
         between = np.rint(np.linspace(edge, cell, 2 * by + 1)).astype(int)
         if reach[tuple(between.T)].all():
             row, col = cell.tolist()
