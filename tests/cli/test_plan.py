@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+import yaml
 
 from commands import assert_refused, call, put
+from echogrid.robot import TRANSDUCERS, Robot, robot_yaml, surrounded
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +41,19 @@ def test_the_robot_of_the_map_is_that_which_made_it_unless_another_is_named(run,
         lengths.append(table(tmp_path / "path.csv")[:, 3].min())
     assert lengths[0] == lengths[1]
     assert lengths[2] < lengths[0]
+
+
+def test_a_footprint_that_nobody_told_is_told_of(run, house, place):
+    """As in the maps of bags and of live: the disc that the sonars surround."""
+    put(place / "map.npz", (house / "map.npz").read_bytes())
+    ring = [[round(0.136 * float(np.cos(t)), 6), round(0.136 * float(np.sin(t)), 6), 0.0]
+            for t in np.arange(0, 2 * np.pi, np.pi / 8)]  # fmt: skip
+    for radius, told in ((surrounded(np.array(ring)), True), (0.28, False)):
+        robot = Robot("base_link", radius, TRANSDUCERS["polaroid-600"], 0.2, 4.0, 0.4, np.array(ring))
+        put(place / "run.yaml", yaml.safe_dump({"robot": robot_yaml(robot)}))
+        status, _, noted = run("plan", place, "--from", "1,1", "--to", "2.2,1", "--out", "way")
+        assert status == 0
+        assert ("note: base_link is taken for a disc of 0.13 m, which its sonars surround" in noted) == told
 
 
 def test_a_pair_that_anybody_drew(run, place):

@@ -235,6 +235,8 @@ def test_what_cannot_be_is_one_line(run, place, arguments, line):
         (["--explore", "--max-speed", "9"], "--max-speed: found 9, expected 0.05 to 1 m/s"),
         (["--explore", "--map", "out"], "--explore, --map: found both"),
         (["--explore", "--goal-topic", "x"], "live: found the topic 'x'"),
+        (["--explore", "--goal-topic", ""], "live: found the topic ''"),
+        (["--explore", "--drive", "--radius", "0.3", "--cmd-vel-topic", ""], "live: found the topic ''"),
     ],
 )
 def test_what_cannot_be_explored_is_one_line(run, place, arguments, line):

@@ -188,6 +188,28 @@ def test_a_pose_that_jumps_stops_it_for_good(driven, jump):
     assert driven.said("its place is in doubt: start echogrid live again") == 1
 
 
+def test_a_robot_that_has_no_room_where_it_stands_is_not_done(sent, monkeypatch):
+    """Told what to do about it, and begun again where it is moved to."""
+    around = np.full((100, 150), -4.0, np.float32)
+    around[42:58, 67:83] = 6.0
+    monkeypatch.setattr(Plan, "grid", lambda _: Grid(around, np.ones(around.shape, bool), 0.04, (-3.0, -2.0)))
+    sent.go(3.0)
+    assert sent.said("cannot explore from here: by the map there is no room for a disc of 0.25 m") == 1
+    assert sent.said("explored: ") == 0
+    assert sent.live.snapshot().settings["explored"].startswith("cannot explore: ")
+    around[42:58, 67:83] = -4.0
+    sent.go(3.0)
+    assert sent.said("explored: ") == 0
+    sent.pose_[:2] += (0.5, 0.2)
+    sent.go(1.0)
+    assert sent.said("explored: ") + len(sent.goals) >= 1
+
+
+def test_the_radius_that_is_told_is_saved_with_the_map(sent):
+    sent.go(1.0)
+    assert "footprint_radius_m: 0.25" in sent.live.snapshot().settings["robot"]
+
+
 def test_another_drive_ends_that_and_is_told_of(driven):
     underway(driven)
     driven.pose_ += np.array([1.0, 0.0, 0.0])

@@ -254,7 +254,10 @@ def save() -> None:
     """Save the map that comes on stdin."""
     if hasattr(os, "nice"):
         os.nice(10)
-    folder, snapshot = pickle.load(sys.stdin.buffer)
+    try:
+        folder, snapshot = pickle.load(sys.stdin.buffer)
+    except (EOFError, pickle.UnpicklingError):  # who sent it was killed
+        return
     try:
         _write(folder, snapshot)
     except EchogridError as error:

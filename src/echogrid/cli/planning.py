@@ -20,7 +20,7 @@ from echogrid.extras import need
 from echogrid.files import check_writable, made, printable, read_text, replacing
 from echogrid.frame import Frame
 from echogrid.output.folder import check_folder
-from echogrid.robot import Robot, parse_robot, robot_yaml
+from echogrid.robot import Robot, parse_robot, robot_yaml, surrounded
 from echogrid.simulation.acoustics import Physics
 from echogrid.simulation.world import World
 from echogrid.yaml_keys import Keys, parse_yaml
@@ -63,6 +63,14 @@ class Plan:
         start, goal = (_point(given, f"--{name}") for name, given in (("from", self.from_), ("to", self.to)))
         grid = open_map(self.map)
         robot = Robot.load(self.robot) if self.robot else _robot_of(self.map)
+        if not self.robot and np.isclose(robot.footprint_radius_m, surrounded(robot.mounts), rtol=0, atol=1e-5):
+            print(
+                escaped(
+                    f"note: {robot.name} is taken for a disc of {robot.footprint_radius_m:.2f} m, which its sonars "
+                    "surround, for the log did not say how wide it is: if it is wider, give its footprint by --robot"
+                ),
+                file=sys.stderr,
+            )
         way = plan(grid, start, goal, robot, self.unknown)
         with made(self.out):
             for name in _FILES:
@@ -78,8 +86,9 @@ class Plan:
                 file=sys.stderr,
             )
         least = float(np.min(way.clearance_m))
-        over = ", over ground that is not known" if least < 0 and self.unknown else ""
-        beside = f"{max(least, 0):.2f} m or more beside {robot.name}{over}"
+        beside = f"{max(least, 0):.2f} m or more beside {robot.name}"
+        if least < 0 and self.unknown:
+            beside = f"{robot.name} partly over ground that is not known"
         print(escaped(f"{self.out}/path.csv: {way.length_m:.2f} m, {beside}; {self.out}/path.png"))
 
 

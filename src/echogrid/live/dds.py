@@ -135,7 +135,7 @@ class Network:
         self._held: list[tuple[int, Heard, str, Any]] = []
         self._sent_tf: DataWriter | None = None
         sent = [dds_topic(name) for name in (map_topic, local_topic)]
-        driven = [name and dds_topic(name) for name in (goal_topic, command_topic)]
+        driven = [None if name is None else dds_topic(name) for name in (goal_topic, command_topic)]
         self._joined = joined(domain, interface)
         self.kept = self._joined.kept
         """Whether the kernel lets nothing in but through the interface that was named."""

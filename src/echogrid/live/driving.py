@@ -14,7 +14,7 @@ from echogrid.live.hearing import Hearing
 from echogrid.live.live_map import LiveMap
 from echogrid.live.placing import Slam
 from echogrid.live.sonar_array import listed
-from echogrid.planning.explorer import Explorer
+from echogrid.planning.explorer import NOWHERE, Explorer
 from echogrid.planning.following import Pace
 from echogrid.planning.guiding import Guide
 
@@ -39,6 +39,9 @@ OTHERS = 1.0, 2.0
 
 STALLED_S, STALLED_M, STALLED_RAD = 2.0, 0.01, np.deg2rad(3.0)
 """A robot that is driven for so long and gets no farther than this has touched something, or does not obey."""
+
+ELSEWHERE_M = 0.3
+"""A robot that could not begin where it stood, and was moved so far, tries again."""
 
 GAPS = 20
 """Times from one velocity to the next that are looked at."""
@@ -107,6 +110,7 @@ class Driving:
         self._gaps: deque[float] = deque(maxlen=GAPS)
         self._stall: tuple[float, Float[ndarray, "3"]] | None = None
         self._moved, self._said = False, ""
+        self._ended = np.zeros(3)
 
     def step(self, live_map: LiveMap, hearing: Hearing, now: float) -> list[Goal | Velocity]:
         """What is to be published now.
@@ -127,7 +131,7 @@ class Driving:
         if not due or not live_map.scans:
             return []
         if self.explorer.state == "done" and not self._doubt:
-            return self._done()
+            return self._done(live_map, hearing)
         self._keep_pace(hearing.newest - self._stamp)
         self._stamp, self._now = hearing.newest, now
         odometry = self._odometry_at(live_map, hearing)
@@ -148,6 +152,14 @@ class Driving:
     def _tell_end(self, pose: Float[ndarray, "3"]) -> None:
         explorer = self.explorer
         assert explorer is not None
+        self._ended = pose
+        if explorer.end == NOWHERE:
+            radius = explorer.robot.footprint_radius_m
+            self.notices.append(
+                f"cannot explore from here: by the map there is no room for a disc of {radius:.2f} m; if the robot "
+                "is smaller start again with its --radius, else move it"
+            )
+            return
         home = pose[:2] if explorer.home is None else explorer.home
         off = float(np.linalg.norm(pose[:2] - home))
         left = f"; {len(explorer.left)} places showed nothing new" if explorer.left else ""
@@ -166,6 +178,7 @@ class Driving:
                 replace(robot, footprint_radius_m=radius), self._drives.pace, turns=self._drives.itself
             )
             self._guide = Guide(self.explorer)
+            live_map.footprint_radius_m = self._drives.radius_m
             if self._drives.itself:
                 live_map.follow(self.explorer.robot)
             self._begin_anew()
@@ -202,7 +215,8 @@ class Driving:
             round_ = abs(step[2]) > FASTER * turn * took + SLACK_RAD
             if far or round_:
                 jump = f"{np.hypot(*step[:2]):.2f} m and {np.rad2deg(abs(step[2])):.0f} degrees within {took:.1f} s"
-                self.halted = f"the pose jumped by {jump}, so its place is in doubt: start echogrid live again"
+                waits = "it waits for another drive, else " if isinstance(live_map.placing, Slam) else ""
+                self.halted = f"the pose jumped by {jump}, so its place is in doubt: {waits}start echogrid live again"
             # By how much the same place would be told elsewhere.
             off = compose(pose, inverse(odometry)) - shift
             moved = np.hypot(*(compose(shift, odometry) - pose)[:2])
@@ -302,8 +316,13 @@ class Driving:
             return []
         return [Goal(live_map.frame, self._stamp, target)]
 
-    def _done(self) -> list[Goal | Velocity]:
-        """A robot that is done is told to stand, and then nothing."""
+    def _done(self, live_map: LiveMap, hearing: Hearing) -> list[Goal | Velocity]:
+        """A robot that is done is told to stand, and then nothing; where it could not begin it begins elsewhere."""
+        assert self.explorer is not None
+        odometry = self._odometry_at(live_map, hearing)
+        if self.explorer.end == NOWHERE and odometry is not None:
+            off = np.hypot(*(live_map.in_map(odometry) - self._ended)[:2])
+            self._map = None if off > ELSEWHERE_M else self._map
         self._rest -= 1
         return [STOP] if self._drives.itself and self._rest >= 0 else []
 
@@ -321,6 +340,8 @@ class Driving:
         if explorer.state == "exploring" and explorer.goal is not None:
             x, y = explorer.goal.place.tolist()
             return f"exploring: to ({x:.2f}, {y:.2f}) m"
+        if explorer.end == NOWHERE:
+            return f"cannot explore: {NOWHERE}"
         return {"done": f"explored: {explorer.end}", "returning": "driving home"}.get(explorer.state, "exploring")
 
     def settings(self) -> dict[str, str]:

@@ -143,6 +143,8 @@ class LiveMap:
         self._ready: deque[Frame] = deque()
         self._last: Frame | None = None
         self._changed, self._due = False, -inf
+        self.footprint_radius_m: float | None = None
+        """Of the robot, where somebody says so; mapping asks only for ground that it surely covers."""
 
     @property
     def frame(self) -> str:
@@ -305,6 +307,8 @@ class LiveMap:
             return None
         grid = deepcopy(self._mapper.grid()) if self._settings.known is None else self._settings.known
         robot = self._mapper.robot
+        if self.footprint_radius_m is not None:
+            robot = replace(robot, footprint_radius_m=self.footprint_radius_m)
         settings = {
             "log": "live",
             "robot": robot_yaml(robot),

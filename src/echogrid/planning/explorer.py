@@ -73,6 +73,9 @@ AROUND = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
 
 _KNOWN = "nothing that can be reached is unknown"
 
+NOWHERE = "the robot stands where by the map it cannot be"
+"""Why it ends before it has begun, or when the map has changed."""
+
 State = Literal["looking", "exploring", "returning", "done"]
 
 
@@ -156,7 +159,7 @@ class Explorer:
         self._note_news(grid, stamp)
         views = Views(self.floor(grid), self.robot, pose, self.preferences.levels)
         if not any(views[number] for number in range(len(self.preferences.levels))):
-            self._finish("the robot stands where by the map it cannot be")
+            self._finish(NOWHERE)
         elif self.state == "returning" or not self._explore(views, pose):
             self.state = "returning"
             self._return(views)

@@ -105,7 +105,7 @@ def plan(grid: Grid, start: Point, goal: Point, robot: Robot, unknown: bool = Fa
     if not unknown:
         costs[floor.known_m < NARROW_SHARE * floor.radius_m] = inf
     if (way := _way(floor, costs, first, last, ends)) is None:
-        raise NoPathError(f"plan: {_no_way(narrow, costs, unknown, first, last)}")
+        raise NoPathError(f"plan: {_no_way(narrow, costs, unknown, first, last, ends[1])}")
     return replace(way, narrow=_narrowest(floor, way, sure))
 
 
@@ -165,7 +165,7 @@ def _ends(start: Point, goal: Point) -> Float[ndarray, "2 2"]:
     for what, value in (("start", start), ("goal", goal)):
         p = as_reals(value)
         if p is None or p.shape != (2,) or not np.all(np.abs(p) <= MOST_M):
-            raise UsageError(f"plan: {what}: found {shown(value)}, expected x, y in m")
+            raise UsageError(f"plan: {what}: found {shown(value)}, expected x, y within {MOST_M:g} m")
         ends.append(p)
     return np.array(ends)
 
@@ -199,11 +199,15 @@ def _why_not(floor: Floor, cell: tuple[int, int] | None) -> str:
 
 
 def _no_way(
-    floor: Floor, costs: Float32[ndarray, "rows cols"], unknown: bool, first: tuple[int, int], last: tuple[int, int]
+    floor: Floor,
+    costs: Float32[ndarray, "rows cols"],
+    unknown: bool,
+    first: tuple[int, int],
+    last: tuple[int, int],
+    goal: Float[ndarray, "2"],
 ) -> str:
-    """Why no way leads from one open cell to another."""
+    """Why no way leads from one open cell to another, in which the goal (m) lies."""
     reached = np.isfinite(_core.cost_to_go(costs, np.array([first], np.int64), floor.grid.resolution))
-    goal = floor.grid.centre_of(np.array(last))
     near = floor.nearest(reached, goal)
     assert near is not None
     off = float(np.linalg.norm(floor.grid.centre_of(np.array(near)) - goal))
@@ -214,7 +218,7 @@ def _no_way(
     lacks = lacks if wide > 0 else "walls, or what is unknown, are all round it"
     needs = 2 * floor.body_m
     return (
-        f"found no way to {_place(goal)}: {lacks}, expected {needs:.2f} m; "
+        f"found no way to {_place(goal)}: {lacks}, expected a way {needs:.2f} m wide; "
         f"the robot gets within {off:.2f} m of it, at {_told(floor, near)}"
     )
 

@@ -156,7 +156,9 @@ def _room(world: World, points: Float[ndarray, "n 2"], open_: Bool[ndarray, "ny 
     if world.start is not None:
         there = labels.ravel()[np.argmin(np.linalg.norm(points - world.start, axis=1))]
         if there == 0:
-            raise UsageError(f"world {world.name}: start: found a point too near a wall, expected free space")
+            raise UsageError(
+                f"world {world.name}: start: found a point outside or too near a wall, expected free space"
+            )
         return (labels == there) & open_
     shut = inside_room(world, points).reshape(open_.shape) & open_
     sizes = np.bincount(labels[shut if shut.any() else open_], minlength=count + 1)
