@@ -22,7 +22,8 @@ def test_a_room_is_explored_and_all_of_it_written(run, place):
     assert told["seen"] >= 0.99
     assert told["collisions"] == 0
     assert told["home_m"] < 0.1
-    assert f"of the floor in reach by {told['way_m']:.1f} m, no collisions" in said
+    soon = told["until"]["95%"]["way_m"]
+    assert f"of the floor in reach (95% by {soon:.1f} m), drove {told['way_m']:.1f} m, no collisions" in said
     assert score(read_map(out), read_truth(out / "drive.truth.npz")).free > 0.9
     # The log is that of the map: mapped again it gives the same one.
     log = load_log(out / "drive.csv", Robot.load("b21"))

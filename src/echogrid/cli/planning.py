@@ -223,7 +223,10 @@ class Explore:
     def _report(self, world: World, robot: Robot, found: "Explored") -> None:
         seen, count = found.seen[-1, 2], found.bumps
         bumps = f"{count or 'no'} {'collision' if count == 1 else 'collisions'}"
-        what = f"{world.name}: {robot.name} saw {seen:.1%} of the floor in reach by {found.way_m:.1f} m, {bumps}"
+        soon = found.until(0.95)
+        soon = f" (95% by {soon[0]:.1f} m)" if soon else ""
+        what = f"{world.name}: {robot.name} saw {seen:.1%} of the floor in reach{soon}"
+        what += f", drove {found.way_m:.1f} m, {bumps}"
         print(escaped(f"{what}; it ends {found.home_m:.2f} m from its start: {found.end}"))
         if left := found.frontiers_left:
             places = "place" if left == 1 else "places"
