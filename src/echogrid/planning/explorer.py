@@ -160,7 +160,7 @@ class Explorer:
         views = Views(self.floor(grid), self.robot, pose, self.preferences.levels)
         if not any(views[number] for number in range(len(self.preferences.levels))):
             self._finish(NOWHERE)
-        elif self.state == "returning" or not self._explore(views, pose):
+        elif not self._explore(views, pose):  # on its way home, too: it sees more of what it passes
             self.state = "returning"
             self._return(views)
 
@@ -427,11 +427,12 @@ class Explorer:
         free = grid.observed & (grid.log_odds < logit(FREE_THRESH))
         area = float(np.count_nonzero(free)) * grid.resolution**2
         now = np.array([self._way_m, stamp])
-        self._vain += (now - self._counted) * (1.0 if self.preferences.levels[self._level].doubtful else FAITH)
+        if self.state != "returning":
+            self._vain += (now - self._counted) * (1.0 if self.preferences.levels[self._level].doubtful else FAITH)
         self._counted = now
-        if area > self._known_m2 + NEW_M2 or self.state == "returning":
+        if area > self._known_m2 + NEW_M2:
             self._known_m2, self._vain = area, np.zeros(2)
-        elif np.any(self._vain > (STUCK_M, STUCK_S)):
+        elif self.state != "returning" and np.any(self._vain > (STUCK_M, STUCK_S)):
             self.end = self.end or "nothing new was seen for a long way"
 
     def _finish(self, why: str) -> None:
