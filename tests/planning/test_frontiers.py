@@ -103,6 +103,20 @@ def test_what_is_occupied_but_not_surely_may_be_a_door():
     assert found(room(door=0.9, filled=0.8), sure=0.65) == []
 
 
+def test_a_door_that_looks_narrower_than_the_robot_may_be_asked_for():
+    p = room(door=0.4, filled=0.95)
+    floor = floor_of(p)
+    at = floor.cell((2.0, 1.5))
+    assert at is not None
+    reach = Reach.of(floor, at)
+    assert frontiers(reach, B21, 0.99 - 1e-6) == []
+    ones = frontiers(reach, B21, 0.99 - 1e-6, share=0.6)
+    assert ones
+    assert all(math.dist(one.place, (3.7, 1.5)) < 0.4 for one in ones)
+    walls = floor_of(room())
+    assert frontiers(Reach.of(walls, at), B21, 0.99 - 1e-6, share=0.6) == []
+
+
 def test_ground_behind_a_wall_is_none_however_much_there_is():
     p = np.full((60, 160), np.nan)
     p[:, :80] = room()

@@ -37,6 +37,8 @@ class Level(NamedTuple):
     """Metres by which places of levels that dare less may be farther and are gone to all the same."""
     promise_m2: float = 0.0
     """Places that promise less are not looked at."""
+    share: float = 1.0
+    """Of the robot's width that a door has in the map at least."""
 
     @property
     def doubtful(self) -> bool:
@@ -63,14 +65,15 @@ LEVELS: tuple[Level, ...] = (
     Level(LIKELY_P, 0.4, 2),
     Level(0.975, FREE_THRESH, 2, 1.0, LEAST_PROMISE_M2),
     Level(0.975, 0.4, 2, 2.0, LEAST_PROMISE_M2),
-    Level(0.99, FREE_THRESH, 1, 2.0, LEAST_PROMISE_M2),
+    Level(0.99, FREE_THRESH, 1, 2.0, LEAST_PROMISE_M2, share=0.6),
     Level(0.99, FREE_THRESH, 1, 100.0),
 )
 """Behind a door in a mirror room too little comes back for ground to be surely free: the second creeps on where it is
 likely so, and sees more from there. The last two take every weak spot of a wall for a door: one that was passed at a
 distance can be as occupied as that, though walls are more so. To creep on there as well would be to touch them: the
-ends of smooth walls look likely free. The very last is for when there is nothing else: a door that leads out of all
-that is known, behind which nothing was heard, promises nothing."""
+ends of smooth walls look likely free. Posts that were heard from the side alone look so thick that a door seems
+narrower than the robot. The very last is for when there is nothing else: a door that leads out of all that is known,
+behind which nothing was heard, promises nothing."""
 
 DOUBT_M, DOUBT_M2 = 25.0, 1.5
 """Metres that such a place costs besides if it promises nothing; e times less with each so many m2 that it does."""
@@ -169,7 +172,7 @@ class View:
     def frontiers(self) -> list[Frontier]:
         """Those nearest to the robot first."""
         room = ROOM_M2 if self.level.doubtful else LEAST_M2
-        return frontiers(self.reach, self.robot, self.level.door_p, room)
+        return frontiers(self.reach, self.robot, self.level.door_p, room, self.level.share)
 
 
 class Views:

@@ -144,7 +144,9 @@ class Frontier:
         return look(self.reach.floor, self.robot, self.place, self.solid, self.reach.hull)
 
 
-def frontiers(reach: Reach, robot: Robot, sure: float, least_m2: float = LEAST_M2) -> list[Frontier]:
+def frontiers(
+    reach: Reach, robot: Robot, sure: float, least_m2: float = LEAST_M2, share: float = 1.0
+) -> list[Frontier]:
     """The frontiers of a floor, those nearest to the robot first.
 
     Args:
@@ -152,10 +154,11 @@ def frontiers(reach: Reach, robot: Robot, sure: float, least_m2: float = LEAST_M
         robot: for its sonars.
         sure: what is occupied with less than this probability may be a door yet.
         least_m2: what is beyond must have so much room for the robot's middle.
+        share: of the width of the robot that a door has in the map at least; posts may look thicker than they are.
     """
     floor = reach.floor
     solid = floor.above(sure) | reach.lone
-    groups = _groups(floor, _edge(reach, solid, least_m2), reach.to_go)
+    groups = _groups(floor, _edge(reach, solid, least_m2, share * floor.radius_m), reach.to_go)
     found = []
     for cells in groups:
         cell = _middle(floor, robot, cells)
@@ -171,14 +174,17 @@ def _middle(floor: Floor, robot: Robot, cells: Int[ndarray, "n 2"]) -> tuple[int
     return row, col
 
 
-def _edge(reach: Reach, solid: Bool[ndarray, "rows cols"], least_m2: float) -> Bool[ndarray, "rows cols"]:
-    """Cells in reach beside which there is room for the robot, unless what is unknown turns out occupied."""
+def _edge(
+    reach: Reach, solid: Bool[ndarray, "rows cols"], least_m2: float, radius_m: float
+) -> Bool[ndarray, "rows cols"]:
+    """Cells in reach beside which there is room for a disc, unless what is unknown turns out occupied."""
     size = reach.floor.grid.resolution
-    deep = ~(swept(solid, reach.floor.radius_m, size) | reach.near)
+    deep = ~(swept(solid, radius_m, size) | reach.near)
     pieces, count = ndimage.label(deep)
     room = np.bincount(pieces.ravel(), minlength=count + 1) * size**2 >= least_m2
     room[0] = False
-    return reach.cells & _grown(np.take(room, pieces), reach.beyond + 1)
+    by = reach.beyond + 1 + round((reach.floor.radius_m - radius_m) / size)
+    return reach.cells & _grown(np.take(room, pieces), by)
 
 
 def _grown(cells: Bool[ndarray, "rows cols"], by: int) -> Bool[ndarray, "rows cols"]:
