@@ -184,7 +184,10 @@ def _edge(
     room = np.bincount(pieces.ravel(), minlength=count + 1) * size**2 >= least_m2
     room[0] = False
     by = reach.beyond + 1 + round((reach.floor.radius_m - radius_m) / size)
-    return reach.cells & _grown(np.take(room, pieces), by)
+    edge = reach.cells & _grown(np.take(room, pieces), by)
+    if radius_m < reach.floor.radius_m:  # posts that look thick; not corners of which nothing was heard
+        edge &= _grown(reach.floor.occupied & ~solid, by)
+    return edge
 
 
 def _grown(cells: Bool[ndarray, "rows cols"], by: int) -> Bool[ndarray, "rows cols"]:
