@@ -160,7 +160,7 @@ def test_it_is_said_loudly_that_the_robot_is_driven_and_nothing_else_is_doubtful
     lines = session["run"].errors("live").splitlines()
     assert all(line.startswith("live: ") for line in lines)
     assert "DRIVES THE ROBOT ITSELF by /cmd_vel" in lines[1]
-    assert sum("explored: nothing that can be reached is unknown" in line for line in lines) >= 1
+    assert sum("explored: nothing " in line for line in lines) >= 1  # is unknown, or new was seen for long
     assert not any("stuck" in line or "in doubt" in line for line in lines)
     told = parse_yaml((session["run"].folder / "live" / "run.yaml").read_text(), "run.yaml")
     assert told["explored"].startswith("explored: ")

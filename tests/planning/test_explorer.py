@@ -197,7 +197,7 @@ def test_a_door_that_was_taken_for_a_wall_is_looked_at_before_it_is_done(p_door,
         assert explorer._level >= level
 
 
-@pytest.mark.parametrize(("p_door", "patience_s"), [(0.02, 1800), (0.95, 360)])
+@pytest.mark.parametrize(("p_door", "patience_s"), [(0.02, 600), (0.95, 120)])
 def test_it_has_more_patience_with_likely_places_than_with_walls(p_door, patience_s):
     p = np.full((100, 140), np.nan)
     p[20:80, 20:100] = 0.02
@@ -211,7 +211,7 @@ def test_it_has_more_patience_with_likely_places_than_with_walls(p_door, patienc
     while not explorer.end:
         explorer.think(grid, np.array([2.0, 2.0, 0.0]), stamp)
         stamp += 20.0
-    assert stamp - begin == pytest.approx(patience_s, abs=80)
+    assert stamp - begin == pytest.approx(patience_s, abs=60)
 
 
 def test_a_place_left_alone_once_is_tried_again_before_walls_are_but_not_at_once():

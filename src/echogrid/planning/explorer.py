@@ -43,9 +43,10 @@ PAST_M = 0.3
 LOOKS_BACK = 2
 """A robot to which the way home looks shut looks round so often before it gives up."""
 
-STUCK_M, STUCK_S, FAITH = 60.0, 360.0, 0.2
-"""A robot that has looked at walls for such a way, or such a time, and has seen nothing new, has seen what it can; on
-the way to likelier places each metre and second counts so much: in a large building they are far."""
+STUCK_M, STUCK_PER_M2, STUCK_S_PER_M, FAITH = (20.0, 60.0), 0.6, 6.0, 0.2
+"""A robot that has looked at walls for such a way, at least and at most, or so many metres for each m2 that it knows to
+be free, or for so many seconds for each of these metres, and has seen nothing new, has seen what it can. On the way to
+likelier places each metre and second counts so much: in a large building they are far."""
 
 NEW_M2 = 0.2
 """Less than this is nothing new: a robot that stands about hears a little more of what it knows for ever."""
@@ -432,8 +433,12 @@ class Explorer:
         self._counted = now
         if area > self._known_m2 + NEW_M2:
             self._known_m2, self._vain = area, np.zeros(2)
-        elif self.state != "returning" and np.any(self._vain > (STUCK_M, STUCK_S)):
+        elif self.state != "returning" and np.any(self._vain > self._patience()):
             self.end = self.end or "nothing new was seen for a long way"
+
+    def _patience(self) -> Float[ndarray, "2"]:
+        """For how much way (m) and time (s) it goes on though it sees nothing new."""
+        return np.array([1.0, STUCK_S_PER_M]) * np.clip(STUCK_PER_M2 * self._known_m2, *STUCK_M)
 
     def _finish(self, why: str) -> None:
         self.state, self.end, self.path, self.goal = "done", why, None, None
