@@ -44,9 +44,9 @@ LOOKS_BACK = 2
 """A robot to which the way home looks shut looks round so often before it gives up."""
 
 STUCK_M, STUCK_PER_M2, STUCK_S_PER_M, FAITH = (20.0, 60.0), 0.6, 6.0, 0.2
-"""A robot that has looked at walls for such a way, at least and at most, or so many metres for each m2 that it knows to
-be free, or for so many seconds for each of these metres, and has seen nothing new, has seen what it can. On the way to
-likelier places each metre and second counts so much: in a large building they are far."""
+"""A robot that has looked at walls for so many metres for each m2 that it knows to be free, within these limits, or
+for so many seconds for each of these metres, and has seen nothing new, has seen what it can. On the way to likelier
+places each metre and second counts so much: in a large building they are far."""
 
 NEW_M2 = 0.2
 """Less than this is nothing new: a robot that stands about hears a little more of what it knows for ever."""
