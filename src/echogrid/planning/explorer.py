@@ -43,7 +43,7 @@ PAST_M = 0.3
 LOOKS_BACK = 2
 """A robot to which the way home looks shut looks round so often before it gives up."""
 
-STUCK_M, STUCK_PER_M2, STUCK_S_PER_M, FAITH = (20.0, 60.0), 0.6, 6.0, 0.2
+STUCK_M, STUCK_PER_M2, STUCK_S_PER_M, FAITH = (20.0, 60.0), 1.2, 6.0, 0.2
 """A robot that has looked at walls for so many metres for each m2 that it knows to be free, within these limits, or
 for so many seconds for each of these metres, and has seen nothing new, has seen what it can. On the way to likelier
 places each metre and second counts so much: in a large building they are far."""
@@ -116,7 +116,8 @@ class Explorer:
         self._free_m2 = 0.0
         self._view: View | None = None
         self._level = self._least = self._looks_back = 0
-        self._way_m, self._known_m2 = 0.0, 0.0
+        self._way_m = 0.0
+        self._known_m2: float | None = 0.0
         self._vain, self._counted = np.zeros(2), np.zeros(2)
 
     def around_m(self) -> float:
@@ -286,7 +287,7 @@ class Explorer:
 
     def remapped(self) -> None:
         """The map was made anew, by other poses: the way, and where the robot has been, are not as they were."""
-        self.path, self._track = None, np.empty((0, 2))
+        self.path, self._track, self._known_m2 = None, np.empty((0, 2)), None
 
     def give_up(self) -> None:
         """The robot does not get where it was sent."""
@@ -431,14 +432,16 @@ class Explorer:
         if self.state != "returning":
             self._vain += (now - self._counted) * (1.0 if self.preferences.levels[self._level].doubtful else FAITH)
         self._counted = now
-        if area > self._known_m2 + NEW_M2:
+        if self._known_m2 is None:  # made anew: what is known of it is nothing new, nor did it become less
+            self._known_m2 = area
+        elif area > self._known_m2 + NEW_M2:
             self._known_m2, self._vain = area, np.zeros(2)
         elif self.state != "returning" and np.any(self._vain > self._patience()):
             self.end = self.end or "nothing new was seen for a long way"
 
     def _patience(self) -> Float[ndarray, "2"]:
         """For how much way (m) and time (s) it goes on though it sees nothing new."""
-        return np.array([1.0, STUCK_S_PER_M]) * np.clip(STUCK_PER_M2 * self._known_m2, *STUCK_M)
+        return np.array([1.0, STUCK_S_PER_M]) * np.clip(STUCK_PER_M2 * (self._known_m2 or 0.0), *STUCK_M)
 
     def _finish(self, why: str) -> None:
         self.state, self.end, self.path, self.goal = "done", why, None, None
