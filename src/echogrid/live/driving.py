@@ -319,8 +319,7 @@ class Driving:
     def _done(self, live_map: LiveMap, hearing: Hearing) -> list[Goal | Velocity]:
         """A robot that is done is told to stand, and then nothing; where it could not begin it begins elsewhere."""
         assert self.explorer is not None
-        odometry = self._odometry_at(live_map, hearing)
-        if self.explorer.end == NOWHERE and odometry is not None:
+        if self.explorer.end == NOWHERE and (odometry := self._odometry_at(live_map, hearing)) is not None:
             off = np.hypot(*(live_map.in_map(odometry) - self._ended)[:2])
             self._map = None if off > ELSEWHERE_M else self._map
         self._rest -= 1

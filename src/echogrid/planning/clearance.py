@@ -95,8 +95,8 @@ class Floor:
     def daring(self, free_p: float) -> "Floor":
         """Likewise, but that what is occupied with less than another probability counts as free."""
         other = replace(self, free_p=free_p)
-        # What is occupied is the same, and takes long to work out: each is a cached property.
-        other.__dict__.update(occupied=self.occupied, gap_m=self.gap_m)
+        # What is occupied is the same, and takes long: where it was worked out, it is kept as cached properties are.
+        other.__dict__.update({name: self.__dict__[name] for name in ("occupied", "gap_m") if name in self.__dict__})
         return other
 
     @cached_property
