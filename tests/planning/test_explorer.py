@@ -90,7 +90,8 @@ def test_what_is_touched_is_where_the_map_is_least_sure(aside_m, touched):
     grid.log_odds[tuple(post)] = logit(0.4)
     explorer = Explorer(B21)
     explorer.bumped(grid, np.array([1.5, 1.5, 0.0]))
-    (place,) = explorer._bumps
+    floor = explorer.floor(grid)
+    place = floor.grid.centre_of(np.argwhere(floor.occupied)).mean(axis=0)
     expected = [0.0, np.sign(aside_m)] if touched else [1.0, 0.0]
     np.testing.assert_allclose(place - 1.5, B21.footprint_radius_m * np.array(expected), atol=0.06)
 

@@ -92,9 +92,14 @@ class Floor:
         rimmed = part.part(np.array([-rim, -rim]), (part.shape[0] + 2 * rim, part.shape[1] + 2 * rim))
         return Floor(rimmed, radius_m, margin_m, easy_m, dear, free_p, deaf_m)
 
-    def daring(self, free_p: float) -> "Floor":
-        """Likewise, but that what is occupied with less than another probability counts as free."""
-        other = replace(self, free_p=free_p)
+    def daring(self, free_p: float, margin_m: float | None = None) -> "Floor":
+        """Likewise, but that what is occupied with less than another probability counts as free.
+
+        Args:
+            free_p: that.
+            margin_m: kept besides from what is occupied; None: as here.
+        """
+        other = replace(self, free_p=free_p, margin_m=self.margin_m if margin_m is None else margin_m)
         # What is occupied is the same, and takes long: where it was worked out, it is kept as cached properties are.
         other.__dict__.update({name: self.__dict__[name] for name in ("occupied", "gap_m") if name in self.__dict__})
         return other

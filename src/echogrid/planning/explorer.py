@@ -8,13 +8,15 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from echogrid.geometry import wrap
-from echogrid.grid import FREE_THRESH, P_MIN, Grid, logit
+from echogrid.grid import FREE_THRESH, Grid, logit
 from echogrid.planning.asides import SAME_M, Asides
+from echogrid.planning.body import Body
 from echogrid.planning.choice import Preferences, View, Views
-from echogrid.planning.clearance import Floor, swept
+from echogrid.planning.clearance import Floor
 from echogrid.planning.following import TURNED_RAD, Pace, follow, may_go, turn_by
 from echogrid.planning.frontiers import Frontier
 from echogrid.planning.paths import path_along
+from echogrid.planning.patience import FAITH, Patience
 from echogrid.robot import Robot
 
 THINK_S = 1.0
@@ -26,10 +28,6 @@ After those of its level only while something new is seen within NEAR_M, and so 
 
 NEW_CELLS_M2 = 0.006
 """What has become free there by one look, at least, to be something new."""
-
-TRACK_P, TRACK_M = 0.9, 0.04
-"""Where the robot has been there was room for it: what is occupied with less than this there is free, for the posts
-of a door can look so near to each other afterwards that it would not get back. Places are kept so far apart, m."""
 
 AFAR_M = 4.0
 """A place that was left alone is tried again from so far off: at once it would look the same."""
@@ -43,14 +41,6 @@ PAST_M = 0.3
 LOOKS_BACK = 2
 """A robot to which the way home looks shut looks round so often before it gives up."""
 
-STUCK_M, STUCK_PER_M2, STUCK_S_PER_M, FAITH = (20.0, 60.0), 1.2, 6.0, 0.2
-"""A robot that has looked at walls for so many metres for each m2 that it knows to be free, within these limits, or
-for so many seconds for each of these metres, and has seen nothing new, has seen what it can. On the way to likelier
-places each metre and second counts so much: in a large building they are far."""
-
-NEW_M2 = 0.2
-"""Less than this is nothing new: a robot that stands about hears a little more of what it knows for ever."""
-
 AROUND_M = 1.6
 """Side of the square, beside the footprint, that is looked at at each step, m."""
 
@@ -61,16 +51,8 @@ through a door it goes in the middle."""
 RIM_M = 0.6
 """So much unknown ground is thought of round the map."""
 
-FRONT_RAD, TOUCHED_M, AHEAD = np.deg2rad(np.arange(-90.0, 91.0, 10.0)), 0.12, 0.05
-"""Where a robot touches what it drives against, from forward, and so far beyond its footprint the map is looked up;
-what probability a radian aside is worth, where one place is as likely as the other."""
-
-BACK_M, BUMP_M = 0.15, 0.05
-"""Backwards from what was touched, round which so much is taken to be occupied: where a robot touches anything the
-map is wrong by some centimetres, and it would touch it again."""
-
-AROUND = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
-"""A place and eight round it."""
+BACK_M = 0.15
+"""Backwards from what was touched."""
 
 _KNOWN = "nothing that can be reached is unknown"
 
@@ -107,8 +89,7 @@ class Explorer:
         self._home: Float[ndarray, "2"] | None = None
         self._turn, self._heading = 2 * np.pi if self.turns else 0.0, None
         self._asides = Asides(self.preferences.covers)
-        self._track: Float[ndarray, "n 2"] = np.empty((0, 2))
-        self._bumps: list[Float[ndarray, "2"]] = []
+        self._body = Body()
         self._back_m = 0.0
         self._last: Float[ndarray, "2"] | None = None
         self._thought_s, self._blocked, self._blocked_m = -np.inf, 0, 0.0
@@ -117,8 +98,7 @@ class Explorer:
         self._view: View | None = None
         self._level = self._least = self._looks_back = 0
         self._way_m = 0.0
-        self._known_m2: float | None = 0.0
-        self._vain, self._counted = np.zeros(2), np.zeros(2)
+        self._patience: Patience | None = None
 
     def around_m(self) -> float:
         """Side of the square round the robot that ``drive`` is to be given, m."""
@@ -133,18 +113,11 @@ class Explorer:
     def bumped(self, around: Grid, pose: Float[ndarray, "3"]) -> None:
         """Something was touched that the map does not show: remember it, and back off.
 
-        Bumpers and wheels that stall do not tell where: it is taken to be where the map is least sure that the front
-        of the footprint is on free floor. In a door that is a post, and not the middle of the way.
-
         Args:
             around: the map, ``around_m`` round the robot.
             pose: of the robot, m, m, rad.
         """
-        angle = (pose[2] + FRONT_RAD)[:, None]
-        rim = self.robot.footprint_radius_m + np.arange(0.0, TOUCHED_M, around.resolution)
-        points = pose[:2] + np.stack([rim * np.cos(angle), rim * np.sin(angle)], axis=-1)
-        taken = around.probability_at(points.reshape(-1, 2)).reshape(points.shape[:2]).max(axis=1)
-        self._bumps.append(points[int(np.argmax(taken - AHEAD * np.abs(FRONT_RAD))), 0])
+        self._body.touched(around, pose, self.robot.footprint_radius_m)
         self._back_m, self.path, self.goal, self._turn = BACK_M, None, None, 0.0
 
     def think(self, grid: Grid, pose: Float[ndarray, "3"], stamp: float) -> None:
@@ -157,7 +130,7 @@ class Explorer:
         """
         self._thought_s = stamp
         if self._home is None:
-            self._home, self._counted = pose[:2].copy(), np.array([self._way_m, stamp])
+            self._home = pose[:2].copy()
         self._note_news(grid, stamp)
         views = Views(self.floor(grid), self.robot, pose, self.preferences.levels)
         if not any(views[number] for number in range(len(self.preferences.levels))):
@@ -210,24 +183,8 @@ class Explorer:
     def floor(self, grid: Grid) -> Floor:
         """The floor of a map, with what was touched. Walls of our maps are thicker than they are; that is margin."""
         floor = Floor.of(grid, self.robot.footprint_radius_m, RIM_M, 0.0, EASY_M, DEAR, deaf_m=self.robot.deaf_m)
-        self._clear_track(floor)
-        for touched in self._bumps:
-            for place in touched + BUMP_M * AROUND:
-                if (cell := floor.cell(place)) is not None:
-                    floor.grid.log_odds[cell], floor.grid.observed[cell] = 5.0, True
+        self._body.mark(floor)
         return floor
-
-    def _clear_track(self, floor: Floor) -> None:
-        """Mark as free what lay under the footprint where the robot went, see TRACK_P."""
-        grid = floor.grid
-        index = grid.index_of(self._track)
-        index = index[np.all((index >= 0) & (index < grid.shape), axis=1)]
-        if not len(index):
-            return
-        been = np.zeros(grid.shape, dtype=bool)
-        been[tuple(index.T)] = True
-        crossed = swept(been, floor.radius_m, grid.resolution) & (grid.log_odds < logit(TRACK_P))
-        grid.log_odds[crossed], grid.observed[crossed] = logit(P_MIN), True
 
     def drive(self, around: Grid, pose: Float[ndarray, "3"]) -> tuple[float, float]:
         """The velocity (m/s, rad/s) that wheels are to have now.
@@ -265,8 +222,7 @@ class Explorer:
         moved = 0.0 if self._last is None else float(np.linalg.norm(pose[:2] - self._last))
         self._way_m += moved
         self._last = pose[:2].copy()
-        if not len(self._track) or np.linalg.norm(self._track[-1] - pose[:2]) > TRACK_M:
-            self._track = np.vstack([self._track, self._last])
+        self._body.been(self._last)
         return moved
 
     @property
@@ -287,7 +243,10 @@ class Explorer:
 
     def remapped(self) -> None:
         """The map was made anew, by other poses: the way, and where the robot has been, are not as they were."""
-        self.path, self._track, self._known_m2 = None, np.empty((0, 2)), None
+        self.path = None
+        self._body.remapped()
+        if self._patience is not None:
+            self._patience.remapped()
 
     def give_up(self) -> None:
         """The robot does not get where it was sent."""
@@ -425,23 +384,16 @@ class Explorer:
         self._go(view, cell)
 
     def _note_news(self, grid: Grid, stamp: float) -> None:
-        """Take down how much floor is known, and for what way and time that has not grown."""
+        """Take down how much floor is known, and end where that does not grow."""
         free = grid.observed & (grid.log_odds < logit(FREE_THRESH))
-        area = float(np.count_nonzero(free)) * grid.resolution**2
-        now = np.array([self._way_m, stamp])
-        if self.state != "returning":
-            self._vain += (now - self._counted) * (1.0 if self.preferences.levels[self._level].doubtful else FAITH)
-        self._counted = now
-        if self._known_m2 is None:  # made anew: what is known of it is nothing new, nor did it become less
-            self._known_m2 = area
-        elif area > self._known_m2 + NEW_M2:
-            self._known_m2, self._vain = area, np.zeros(2)
-        elif self.state != "returning" and np.any(self._vain > self._patience()):
+        at = np.array([self._way_m, stamp])
+        if self._patience is None:
+            self._patience = Patience(at)
+        counts = 1.0 if self.preferences.levels[self._level].doubtful else FAITH
+        known_m2 = float(np.count_nonzero(free)) * grid.resolution**2
+        self._patience.note(known_m2, at, 0.0 if self.state == "returning" else counts)
+        if self._patience.over:
             self.end = self.end or "nothing new was seen for a long way"
-
-    def _patience(self) -> Float[ndarray, "2"]:
-        """For how much way (m) and time (s) it goes on though it sees nothing new."""
-        return np.array([1.0, STUCK_S_PER_M]) * np.clip(STUCK_PER_M2 * (self._known_m2 or 0.0), *STUCK_M)
 
     def _finish(self, why: str) -> None:
         self.state, self.end, self.path, self.goal = "done", why, None, None

@@ -100,7 +100,7 @@ def plan(grid: Grid, start: Point, goal: Point, robot: Robot, unknown: bool = Fa
     ends[tight] = floor.grid.centre_of(np.array([first, last]))[tight]
     if (way := _way(floor, sure, first, last, ends)) is not None:
         return way
-    narrow = replace(floor, margin_m=max(NARROW_M, corner_m), free_p=NARROW_P)
+    narrow = floor.daring(NARROW_P, max(NARROW_M, corner_m))
     costs = np.where(np.isfinite(sure), sure, np.float32(NARROW_COST) * narrow.costs(unknown))
     if not unknown:
         costs[floor.known_m < NARROW_SHARE * floor.radius_m] = inf
