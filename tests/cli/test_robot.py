@@ -229,10 +229,14 @@ def test_what_cannot_be_is_one_line(run, place, arguments, line):
     ("arguments", "line"),
     [
         (["--drive"], "--drive: found no --explore, expected both"),
+        (["--explore", "--max-speed", "0.1"], "--max-speed: found no --drive, expected both"),
         (["--radius", "0.2"], "--radius: found no --explore, expected both"),
         (["--explore", "--drive"], "--drive: found no --radius, expected that of the robot's footprint"),
         (["--explore", "--radius", "nan"], "--radius: found nan, expected 0.02 to 2 m"),
-        (["--explore", "--max-speed", "9"], "--max-speed: found 9, expected 0.05 to 1 m/s"),
+        (
+            ["--explore", "--drive", "--radius", "0.3", "--max-speed", "9"],
+            "--max-speed: found 9, expected 0.05 to 1 m/s",
+        ),
         (["--explore", "--map", "out"], "--explore, --map: found both"),
         (["--explore", "--goal-topic", "x"], "live: found the topic 'x'"),
         (["--explore", "--goal-topic", ""], "live: found the topic ''"),

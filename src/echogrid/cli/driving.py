@@ -10,6 +10,7 @@ from echogrid.errors import UsageError
 if TYPE_CHECKING:
     from echogrid.live.driving import Drives
 
+SPEED_M_S = 0.3
 MOST_SPEED_M_S, MOST_RADIUS_M = 1.0, 2.0
 """Sonars are too slow, and their maps too coarse, for more."""
 
@@ -27,8 +28,8 @@ class Explores:
     docs/how-to/safety.md."""
     radius: Annotated[float | None, arg(metavar="M")] = None
     """With --explore: radius of the robot's footprint, m; --drive needs it. Default: what its sonars surround."""
-    max_speed: Annotated[float, arg(metavar="M/S")] = 0.3
-    """With --drive: how fast it is driven at most, m/s."""
+    max_speed: Annotated[float | None, arg(metavar="M/S")] = None
+    """With --drive: how fast it is driven at most, m/s. Default: 0.3."""
     goal_topic: str = "/goal_pose"
     """Where to publish the next place."""
     cmd_vel_topic: str = "/cmd_vel"
@@ -40,6 +41,8 @@ class Explores:
         Args:
             known: whether the map is known already.
         """
+        if not self.drive and self.max_speed is not None:  # who takes goals drives as fast as that is set to
+            raise UsageError("--max-speed: found no --drive, expected both")
         if not self.explore:
             for name in ("drive", "radius"):
                 if getattr(self, name):
@@ -51,13 +54,17 @@ class Explores:
             raise UsageError("--drive: found no --radius, expected that of the robot's footprint, m")
         if self.radius is not None and not 0.02 <= self.radius <= MOST_RADIUS_M:
             raise UsageError(f"--radius: found {self.radius:g}, expected 0.02 to {MOST_RADIUS_M:g} m")
-        if not 0.05 <= self.max_speed <= MOST_SPEED_M_S:
-            raise UsageError(f"--max-speed: found {self.max_speed:g}, expected 0.05 to {MOST_SPEED_M_S:g} m/s")
+        if not 0.05 <= self._speed <= MOST_SPEED_M_S:
+            raise UsageError(f"--max-speed: found {self._speed:g}, expected 0.05 to {MOST_SPEED_M_S:g} m/s")
         from echogrid.live.driving import Drives
         from echogrid.planning.following import Pace
 
-        pace = Pace(speed_m_s=self.max_speed, creep_m_s=min(self.max_speed, Pace.creep_m_s))
+        pace = Pace(speed_m_s=self._speed, creep_m_s=min(self._speed, Pace.creep_m_s))
         return Drives(self.radius, self.drive, pace)
+
+    @property
+    def _speed(self) -> float:
+        return SPEED_M_S if self.max_speed is None else self.max_speed
 
     def topics(self) -> tuple[str | None, str | None]:
         """Where goals and velocities go, None where none are sent.
@@ -73,6 +80,6 @@ class Explores:
         if not self.drive:
             return f"explores: sends goals on {self.goal_topic}; whoever takes them, as Nav2 does, moves the robot"
         return (
-            f"DRIVES THE ROBOT ITSELF by {self.cmd_vel_topic}, up to {self.max_speed:g} m/s, "
+            f"DRIVES THE ROBOT ITSELF by {self.cmd_vel_topic}, up to {self._speed:g} m/s, "
             f"a disc of {self.radius:g} m: stand clear, keep an emergency stop at hand; Ctrl-C stops it"
         )
