@@ -27,8 +27,8 @@ PLAN = {
     "position": "motion graph matching echoes walls pieces bends contradictions drive slam forgetting growing beside "
     "online remapping odometry corrected particles beams sights usual floor localiser hypotheses localise",
     "calibration": "readings walls places beams health variants swaps calibrate findings",
-    "planning": "clearance paths following frontiers asides choice body patience explorer guiding nearby placing "
-    "explore",
+    "planning": "clearance paths following frontiers asides choice body patience explorer guiding onward nearby "
+    "placing explore",
     "training": "drives gradient_descent paper_examples paper_training set_lessons map_lessons map_training "
     "set_training",
     "output": "trajectory graph_file folder follower map_picture scan_picture map_server_file map_file mcap_file "

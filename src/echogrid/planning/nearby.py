@@ -13,6 +13,7 @@ from echogrid.grid import Grid, logit
 from echogrid.mapping.mapper import Mapper
 from echogrid.mapping.registry import DEFAULT
 from echogrid.models.model import Model
+from echogrid.planning.onward import Onward
 from echogrid.position.motion import jumped
 from echogrid.robot import Robot
 
@@ -45,6 +46,7 @@ class Nearby:
         self._robot = robot
         self._make = lambda: Mapper(self._robot, model, half_life=HALF_LIFE_S)
         self._mapper, self._last = self._make(), None
+        self._onward = Onward(robot)
 
     def add(self, frames: Sequence[Frame]) -> None:
         """Take scans, posed by odometry; where that jumps, or time goes back, all before is forgotten.
@@ -57,13 +59,16 @@ class Nearby:
                 step, took = compose(inverse(self._last.pose), frame.pose), frame.stamp - self._last.stamp
                 if took < 0 or jumped(step, took):
                     self._mapper = self._make()
+                    self._onward.forget()
             self._last = frame
             self._mapper.add([frame])
+            self._onward.add([frame])
 
     def equip(self, robot: Robot) -> None:
         """Go on with an array that has grown."""
         self._robot = robot
         self._mapper.equip(robot)
+        self._onward.equip(robot)
 
     def laid_over(self, grid: Grid, pose: Float[ndarray, "3"], odometry: Float[ndarray, "3"]) -> Grid:
         """A map with what is surely near the robot in it, a copy.
@@ -85,4 +90,4 @@ class Nearby:
         log_odds, observed = grid.log_odds.copy(), grid.observed.copy()
         log_odds[cells] = np.maximum(log_odds[cells], OCCUPIED)
         observed[cells] = True
-        return replace(grid, log_odds=log_odds, observed=observed)
+        return self._onward.laid_over(replace(grid, log_odds=log_odds, observed=observed), pose, odometry)

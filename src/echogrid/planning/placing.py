@@ -15,6 +15,7 @@ from echogrid.grid import Grid
 from echogrid.mapping.mapper import Mapper
 from echogrid.metrics import laid_onto
 from echogrid.planning.nearby import Nearby
+from echogrid.planning.onward import Onward
 from echogrid.position.corrected import LEAST_SONARS
 from echogrid.position.online import OnlineSlam
 from echogrid.position.remapping import MOVED_M, MOVED_RAD
@@ -54,18 +55,20 @@ class Given(Placing):
     def __init__(self, mapper: Mapper):
         """An empty map."""
         self.mapper, self.pose, self.made = mapper, np.zeros(3), 0
+        self._onward = Onward(mapper.robot)
         self._frames: list[Frame] = []
 
     @override
     def add(self, frames: Sequence[Frame]) -> list[Frame]:
         self.mapper.add(frames)
+        self._onward.add(frames)
         self.pose = frames[-1].pose
         self._frames += frames
         return list(frames)
 
     @override
     def with_near(self, grid: Grid) -> Grid:
-        return grid
+        return self._onward.laid_over(grid, self.pose, self.pose)
 
     @override
     def off(self) -> Float[ndarray, "3"]:
