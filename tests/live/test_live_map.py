@@ -3,10 +3,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from echogrid.live.driving import Drives
 from echogrid.live.hearing import Heard
 from echogrid.live.live_map import MAX_CELLS, Settings
 from echogrid.live.session import Live
 from echogrid.mapping.mapper import Mapper
+from echogrid.planning.nearby import Nearby
 from echogrid.robot import Robot
 from live_drive import MOUNTS, NETWORK, START_S, Drive, tf, transform
 
@@ -71,6 +73,18 @@ def test_the_map_is_kept_when_a_sonar_joins():
     assert drive.mapper.robot.sonars == 4
     assert after.observed.sum() >= before.observed.sum()
     assert after.views.max() > before.views.max()
+
+
+def test_a_sonar_that_joins_makes_the_robot_no_smaller_than_was_told(monkeypatch):
+    radii = []
+    monkeypatch.setattr(Nearby, "equip", lambda _, robot: radii.append(robot.footprint_radius_m))
+    live: Any = Live(NETWORK, Settings(), Drives(0.6, itself=True))
+    drive = Drive(live, MOUNTS[:3])
+    drive.run(40)
+    drive.mounts = MOUNTS
+    drive.take(Heard.STATIC, "/tf_static", tf(transform(0, "base_link", "sonar_3", *MOUNTS[3])))
+    drive.run(40)
+    assert radii == [0.6]
 
 
 def test_a_snapshot_does_not_change(live):

@@ -157,7 +157,8 @@ class LiveMap:
         if self.placing:
             self.placing.equip()
         if self.nearby:
-            self.nearby.equip(self.array.robot)
+            radius = self.footprint_radius_m or self.array.robot.footprint_radius_m
+            self.nearby.equip(replace(self.array.robot, footprint_radius_m=radius))
         self._notes, self._judge = self.notes(), Judge(self.array.robot)
 
     @property
