@@ -1,12 +1,13 @@
 """``echogrid explore``: a world in; a map, the drive that made it and its figures out."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from commands import MAP_FILES, assert_refused, put
-from echogrid import Robot, load_log, read_map, read_truth
+from echogrid import Robot, load_log, metrics, read_map, read_truth
 from echogrid.metrics import score
 from echogrid.output.trajectory import read_tum
 
@@ -54,6 +55,23 @@ def test_poses_that_it_finds_are_written_beside_those_of_its_wheels(run, place):
     assert off < drift + 0.1  # in so small a room nothing has drifted far
 
 
+def test_what_the_map_lacks_and_the_robot_is_too_wide_for_is_told(run, place, monkeypatch):
+    """A score that wipes walls is given: which walls a map loses is chance."""
+    monkeypatch.setattr(metrics, "score", lambda *given: replace(score(*given), wiped=0.05))
+    put(place / "two.yaml", "name: two\nstart: [0.6, 0.6]\nwalls:\n"
+        "- {points: [[0, 0], [2, 0], [2, 1.2], [0, 1.2]], closed: true, roughness_mm: 1}\n"
+        "- {points: [[1.2, 0], [1.2, 0.4]], roughness_mm: 1}\n"
+        "- {points: [[1.2, 0.8], [1.2, 1.2]], roughness_mm: 1}\n")  # fmt: skip
+    status, _, noted = run("explore", "two.yaml", "--robot", "b21", "--out", place / "two")
+    assert status == 0
+    narrow, wiped = noted.splitlines()
+    assert "% of the floor is behind ways less than 0.73 m wide, which b21 takes for too narrow" in narrow
+    assert wiped.startswith("note: 5.0% of the walls are free floor in the map")
+    told = json.loads((place / "two" / "explore.json").read_text())
+    assert told["wiped"] == 0.05
+    assert 0.3 < told["too_narrow"] < 0.6
+
+
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
@@ -65,6 +83,7 @@ def test_poses_that_it_finds_are_written_beside_those_of_its_wheels(run, place):
         (["--robot", "b22"], "robot: found b22"),
         (["--physics.beam", "laser"], "--physics.beam: found laser"),
         (["--out", "file"], "file: found a file, expected a folder"),
+        (["--robot", "point.yaml"], "robot point: footprint_radius_m: found 0, expected the radius"),
         (["WORLD", "nowhere"], "world: found nowhere"),
         (["WORLD", "hole.yaml"], "world hole: found a hole through which the robot gets out"),
         (["WORLD", "cell.yaml"], "world cell: found no free space"),
@@ -73,6 +92,8 @@ def test_poses_that_it_finds_are_written_beside_those_of_its_wheels(run, place):
 def test_what_cannot_be_is_one_line(run, place, arguments, line):
     walls = "[[0, 0], [3, 0], [3, 2], [0, 2]]"
     put(place / "hole.yaml", f"name: hole\nstart: [1, 1]\nwalls: [{{points: {walls}, roughness_mm: 1}}]\n")
+    put(place / "point.yaml", "name: point\nfootprint_radius_m: 0\nsonar: {transducer: polaroid-600, "
+        "min_range_m: 0.1, max_range_m: 5, beam_width_deg: 25}\nmounts: [[0.1, 0, 0]]\n")  # fmt: skip
     put(place / "cell.yaml", "name: cell\nwalls: [{points: [[0, 0], [0.4, 0], [0.4, 0.4], [0, 0.4]], closed: true, "
         "roughness_mm: 1}]\n")  # fmt: skip
     given = dict(zip(arguments[::2], arguments[1::2], strict=True))

@@ -230,6 +230,12 @@ def test_what_cannot_be_is_one_line(run, place, arguments, line):
     [
         (["--drive"], "--drive: found no --explore, expected both"),
         (["--explore", "--max-speed", "0.1"], "--max-speed: found no --drive, expected both"),
+        (["--explore", "--cmd-vel-topic", "/v"], "--cmd-vel-topic: found no --drive, expected both"),
+        (["--goal-topic", "/g"], "--goal-topic: found no --explore, expected both"),
+        (
+            ["--explore", "--drive", "--radius", "0.3", "--goal-topic", "/g"],
+            "--goal-topic: found --drive, which sends no goals",
+        ),
         (["--radius", "0.2"], "--radius: found no --explore, expected both"),
         (["--explore", "--drive"], "--drive: found no --radius, expected that of the robot's footprint"),
         (["--explore", "--radius", "nan"], "--radius: found nan, expected 0.02 to 2 m"),

@@ -57,6 +57,9 @@ def test_reachable_is_what_the_footprint_sweeps_from_the_start():
     # A box less 10 cm all round, its corners rounded by the footprint.
     w, h, r = 4.2, 2.2, B21.footprint_radius_m
     assert len(points) * 0.05**2 == pytest.approx(w * h - (4 - np.pi) * r**2, rel=0.04)
+    assert Reachable.of(world(), B21, np.array([1.0, 1.0])).beyond < 0.03  # but for the corners
+    shut_off = Reachable.of(world([[2.2, 0], [2.2, 1.0]], [[2.2, 1.4], [2.2, 2.4]]), B21, np.array([1.0, 1.0]))
+    assert 0.45 < shut_off.beyond < 0.6
     only_left = Reachable.of(world([[2.2, 0], [2.2, 2.0]]), B21, np.array([1.0, 1.0])).points
     assert np.max(only_left[:, 0]) < 2.2
 

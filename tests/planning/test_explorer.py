@@ -8,6 +8,7 @@ import pytest
 from echogrid.grid import Grid, logit
 from echogrid.planning.choice import LEVELS, Views
 from echogrid.planning.explorer import Explorer
+from echogrid.planning.following import Pace
 from echogrid.planning.frontiers import Reach
 from plan_drive import B21, FAR, STEP_S, WIDE, Drive, shut, two_rooms
 
@@ -20,6 +21,17 @@ def test_all_is_seen_nothing_is_touched_and_it_is_home_again():
     assert drive.least > -0.035
     assert math.dist(drive.pose[:2], (1.0, 1.0)) < 0.1
     assert drive.way < 25  # there and back is 12 m
+
+
+def test_a_robot_that_is_driven_fast_slows_down_before_it_takes_a_way_for_shut():
+    bent = np.ones((FAR, WIDE), bool)
+    bent[8:34, 8:100] = bent[8:80, 74:100] = False
+    drive = Drive(bent)
+    drive.explorer.pace = Pace(speed_m_s=1.0)
+    drive.run()
+    assert drive.seen() > 0.99
+    assert drive.least > -0.035
+    assert drive.explorer.left == []
 
 
 def test_it_does_not_go_to_and_fro_between_two_places_as_far_from_it():

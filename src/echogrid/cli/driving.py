@@ -41,13 +41,17 @@ class Explores:
         Args:
             known: whether the map is known already.
         """
-        if not self.drive and self.max_speed is not None:  # who takes goals drives as fast as that is set to
-            raise UsageError("--max-speed: found no --drive, expected both")
         if not self.explore:
-            for name in ("drive", "radius"):
-                if getattr(self, name):
-                    raise UsageError(f"--{name}: found no --explore, expected both")
+            for name in ("drive", "radius", "max_speed", "goal_topic", "cmd_vel_topic"):
+                if getattr(self, name) != getattr(Explores, name):
+                    raise UsageError(f"--{name.replace('_', '-')}: found no --explore, expected both")
             return None
+        if not self.drive:
+            for name in ("max_speed", "cmd_vel_topic"):  # who takes goals drives as fast as he likes
+                if getattr(self, name) != getattr(Explores, name):
+                    raise UsageError(f"--{name.replace('_', '-')}: found no --drive, expected both")
+        elif self.goal_topic != Explores.goal_topic:
+            raise UsageError("--goal-topic: found --drive, which sends no goals, expected one of the two")
         if known:
             raise UsageError("--explore, --map: found both, expected one of the two: a known map is not explored")
         if self.radius is None and self.drive:

@@ -26,6 +26,7 @@ from echogrid.simulation.world import World
 from echogrid.yaml_keys import Keys, parse_yaml
 
 if TYPE_CHECKING:
+    from echogrid.metrics import Scores
     from echogrid.output.map_picture import Discs
     from echogrid.planning.explore import Explored
     from echogrid.planning.paths import Path as Way
@@ -126,6 +127,9 @@ def _csv(way: "Way") -> str:
     return "x,y,s,clearance\n" + "".join(",".join(f"{v:.4f}" for v in row) + "\n" for row in columns.tolist())
 
 
+_WIPED, _NARROW = 0.01, 0.1
+"""What is told: more walls that are free in the map, and more floor behind what is too narrow."""
+
 _EXPLORED = ("drive.csv", "drive.truth.npz", "explore.json")
 
 
@@ -188,9 +192,9 @@ class Explore:
                 path = np.array([frame.pose[:2] for frame in found.placed])
                 write_map(self.out, found.grid, path, settings, title)
                 page.finish(found.grid)
-            self._write(world, robot, found)
+            scores = self._write(world, robot, found)
         drop(self.out, written)
-        self._report(world, robot, found)
+        self._report(world, robot, found, scores)
 
     def _start(self, world: World, robot: Robot) -> Float[ndarray, "3"]:
         """Where the robot begins, m, m, rad."""
@@ -200,13 +204,16 @@ class Explore:
             return np.array([*start_of(world, robot.footprint_radius_m + 0.1), 0.0])
         return start_pose(self.start)
 
-    def _write(self, world: World, robot: Robot, found: "Explored") -> None:
-        """Write what there is besides the map."""
+    def _write(self, world: World, robot: Robot, found: "Explored") -> "Scores | None":
+        """Write what there is besides the map; how its walls compare with the true ones, where it lies as they do."""
         from echogrid.logs.csv_log import write_csv
+        from echogrid.metrics import score
         from echogrid.output.map_file import write_truth
         from echogrid.simulation.drive import truth_of
 
         poses = np.array([frame.pose for frame in found.frames])
+        seen = truth_of(world, poses)
+        scores = None if self.slam else score(found.grid, seen)
         if self.slam:
             placed = ((frame.stamp, frame.pose, frame.odom) for frame in found.placed)
             write_trajectories(self.out, *(np.array(column) for column in zip(*placed, strict=True)))
@@ -217,10 +224,12 @@ class Explore:
             replacing(self.out / "drive.csv") as log,
         ):
             write_csv(log, map(rounded, found.frames), robot.sonars)
-            write_truth(truth, truth_of(world, poses))
-            record.write_text(json.dumps(told | found.told(), indent=1) + "\n", encoding="utf-8")
+            write_truth(truth, seen)
+            walls = {name: scores and round(getattr(scores, name), 4) for name in ("found", "wiped")}
+            record.write_text(json.dumps(told | found.told() | walls, indent=1) + "\n", encoding="utf-8")
+        return scores
 
-    def _report(self, world: World, robot: Robot, found: "Explored") -> None:
+    def _report(self, world: World, robot: Robot, found: "Explored", scores: "Scores | None") -> None:
         seen, count = found.seen[-1, 2], found.bumps
         bumps = f"{count or 'no'} {'collision' if count == 1 else 'collisions'}"
         soon = found.until(0.95)
@@ -228,13 +237,24 @@ class Explore:
         what = f"{world.name}: {robot.name} saw {seen:.1%} of the floor in reach{soon}"
         what += f", drove {found.way_m:.1f} m, {bumps}"
         print(escaped(f"{what}; it ends {found.home_m:.2f} m from its start: {found.end}"))
-        if left := found.frontiers_left:
-            places = "place" if left == 1 else "places"
-            what = f"unknown ground is left at {left} {places} that showed nothing new, or to which no way is sure"
+        if left := len(found.left):
+            x, y = found.left[0]
+            places = f"({x:.1f}, {y:.1f}) m" if left == 1 else f"{left} places, one at ({x:.1f}, {y:.1f}) m,"
+            what = f"unknown ground is left at {places} that showed nothing new, or to which no way is sure"
             print(
                 f"note: {what}: a door with less than 0.1 m to either side of the robot may stay shut",
                 file=sys.stderr,
             )
+        if found.beyond > _NARROW:
+            wide = 2 * (robot.footprint_radius_m + 0.1)
+            what = f"{found.beyond:.0%} of the floor is behind ways less than {wide:.2f} m wide"
+            print(
+                escaped(f"note: {what}, which {robot.name} takes for too narrow, and does not count as in reach"),
+                file=sys.stderr,
+            )
+        if scores is not None and scores.wiped > _WIPED:
+            what = f"{scores.wiped:.1%} of the walls are free floor in the map: mirrors that sent nothing back"
+            print(f"note: {what}; do not plan on it where map.png shows none", file=sys.stderr)
         print(escaped(f"{self.out}/map.png, map.html, drive.csv; {self.out}/explore.json has the figures"))
 
 

@@ -32,8 +32,9 @@ SEEN_SHARES = (0.9, 0.95, 0.99)
 _SAME = np.zeros(3)
 """A map that lies where the world does."""
 
-_CELL_M, _SPARE_M = 0.05, 0.1
-"""Of the floor that is asked after; room beside the footprint in the places that count as reachable."""
+_CELL_M, _SPARE_M, _SMALL_M = 0.05, 0.1, 0.1
+"""Of the floor that is asked after; room beside the footprint in the places that count as reachable; and what is much
+smaller than a robot: its radius."""
 
 
 @dataclass
@@ -41,14 +42,20 @@ class Reachable:
     """The floor of a world that a robot can drive over from its start, as points."""
 
     points: Float[ndarray, "n 2"]
+    beyond: float = 0.0
+    """Share of the floor that is too narrow for it, or behind what is: where something much smaller would get to."""
 
     @staticmethod
     def of(world: World, robot: Robot, start: Float[ndarray, "2"]) -> "Reachable":
         """What its footprint covers where it keeps 10 cm beside it, and gets to from its start.
 
         Raises:
-            UsageError: it cannot move from there.
+            UsageError: it has no footprint, or cannot move from there.
         """
+        if robot.footprint_radius_m <= 0:
+            raise UsageError(
+                f"robot {robot.name}: footprint_radius_m: found 0, expected the radius of what is to drive, m"
+            )
         low, high = world.bounds()
         cols, rows = np.ceil((high - low) / _CELL_M).astype(int) + 1
         x, y = (low[k] + (np.arange(n) + 0.5) * _CELL_M for k, n in enumerate((cols, rows)))
@@ -67,7 +74,11 @@ class Reachable:
             raise UsageError(
                 f"world {world.name}: found a hole through which the robot gets out, expected walls all round"
             )
-        return Reachable(middles[off <= robot.footprint_radius_m])
+        reached = off <= robot.footprint_radius_m
+        small, _ = ndimage.label(gap > _SMALL_M)
+        floor = small == small[row, col]
+        floor = floor if not floor[[0, -1]].any() and not floor[:, [0, -1]].any() else reached
+        return Reachable(middles[reached], float(np.mean(~reached[floor])))
 
     def seen(self, grid: Grid, T_map_world: Float[ndarray, "3"] = _SAME) -> float:
         """Share of it that a map, which may lie elsewhere than the world, knows to be free."""
@@ -101,8 +112,10 @@ class Explored:
     """Way (m), time (s) and share of the reachable floor that the map knew to be free by then."""
     decision_s: Float[ndarray, "decisions"]
     """Time that each decision took the computer."""
-    frontiers_left: int
-    """Places at the edge of what is known that showed nothing new."""
+    left: Float[ndarray, "n 2"]
+    """Places at the edge of what is known that showed nothing new, m, in the map."""
+    beyond: float
+    """See ``Reachable``."""
 
     def until(self, share: float) -> tuple[float, float] | None:
         """Way (m) and time (s) until a share of the reachable floor was seen; None: it never was."""
@@ -124,7 +137,9 @@ class Explored:
             "collisions": self.bumps,
             "least_clearance_m": round(self.least_m, 3),
             "home_m": round(self.home_m, 3),
-            "frontiers_left": self.frontiers_left,
+            "frontiers_left": len(self.left),
+            "left_at": np.round(self.left, 2).tolist(),
+            "too_narrow": round(self.beyond, 4),
             "decisions": len(self.decision_s),
             "decision_ms": {
                 "median": round(1000 * float(np.median(self.decision_s)), 1),
@@ -193,5 +208,6 @@ class Exploration:
         return Explored(
             frames, placed, grid, explorer.end or "the time was up",
             float(np.linalg.norm(vehicle.pose[:2] - self.start[:2])), vehicle.way_m, vehicle.time_s, vehicle.bumps,
-            vehicle.least_m, np.array(seen), np.array(took), len(explorer.left),
+            vehicle.least_m, np.array(seen), np.array(took),
+            np.array([one.place for one in explorer.left]).reshape(-1, 2), reachable.beyond,
         )  # fmt: skip

@@ -41,8 +41,11 @@ PAST_M = 0.3
 LOOKS_BACK = 2
 """A robot to which the way home looks shut looks round so often before it gives up."""
 
+SLOW_M_S = Pace.speed_m_s
+"""A robot that is driven faster goes on so slowly before it stops."""
+
 AROUND_M = 1.6
-"""Side of the square, beside the footprint, that is looked at at each step, m."""
+"""Side of the square, beside the footprint, that is looked at at each step, m, at least."""
 
 EASY_M, DEAR = 0.2, 3.0
 """As those of the floor; who explores keeps farther off, for the ends of smooth walls are hardly heard:
@@ -102,7 +105,8 @@ class Explorer:
 
     def around_m(self) -> float:
         """Side of the square round the robot that ``drive`` is to be given, m."""
-        return 2 * self.robot.footprint_radius_m + AROUND_M
+        ahead = 2 * self.pace.reach_m(self.pace.speed_m_s)
+        return 2 * self.robot.footprint_radius_m + max(AROUND_M, ahead)
 
     def due(self, stamp: float) -> bool:
         """Whether to ``think`` before the next ``drive``."""
@@ -215,7 +219,14 @@ class Explorer:
             return 0.0, 0.0
         if self._level and (free_p := self.preferences.levels[self._level].free_p) > FREE_THRESH:
             floor = floor.daring(free_p)
-        return velocity if may_go(floor, pose, velocity, self.pace) else self._stop()
+        if may_go(floor, pose, velocity, self.pace):
+            return velocity
+        speed, turn = velocity
+        if speed > SLOW_M_S:  # it needs less room to stop
+            slowed = SLOW_M_S, turn * SLOW_M_S / speed
+            if may_go(floor, pose, slowed, self.pace):
+                return slowed
+        return self._stop()
 
     def note_way(self, pose: Float[ndarray, "3"]) -> float:
         """Take down where the robot is (m, m, rad); how far it has come since it was asked last, m."""

@@ -47,6 +47,10 @@ class Pace:
     reaction_s: float = REACTION_S
     """From what is seen to wheels that slow down."""
 
+    def reach_m(self, speed_m_s: float) -> float:
+        """How far ahead of a robot that goes so fast the way is to be free."""
+        return speed_m_s * self.reaction_s + speed_m_s**2 / (2 * self.braking_m_s2) + SLACK_M
+
     def late(self, seconds: float) -> "Pace":
         """The pace of a robot that is told what to do only so often (s): it goes no farther blindly than it would."""
         if seconds <= REACTION_S:
@@ -112,7 +116,7 @@ def may_go(floor: Floor, pose: Float[ndarray, "3"], velocity: tuple[float, float
     speed, turn = velocity
     if speed <= 0:
         return True
-    reach = speed * pace.reaction_s + speed**2 / (2 * pace.braking_m_s2) + SLACK_M
+    reach = pace.reach_m(speed)
     s = np.append(np.arange(0.0, reach, 0.04), reach)
     heading = pose[2] + turn / speed * s / 2
     points = pose[:2] + np.stack([s * np.cos(heading), s * np.sin(heading)], axis=1)

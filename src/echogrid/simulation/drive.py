@@ -156,9 +156,8 @@ def _room(world: World, points: Float[ndarray, "n 2"], open_: Bool[ndarray, "ny 
     if world.start is not None:
         there = labels.ravel()[np.argmin(np.linalg.norm(points - world.start, axis=1))]
         if there == 0:
-            raise UsageError(
-                f"world {world.name}: start: found a point outside or too near a wall, expected free space"
-            )
+            at = f"({world.start[0]:.2f}, {world.start[1]:.2f}) m, outside or too near a wall"
+            raise UsageError(f"world {world.name}: start: found {at}, expected free space")
         return (labels == there) & open_
     shut = inside_room(world, points).reshape(open_.shape) & open_
     sizes = np.bincount(labels[shut if shut.any() else open_], minlength=count + 1)
