@@ -253,7 +253,9 @@ class Explore:
                 file=sys.stderr,
             )
         if scores is not None and scores.wiped > _WIPED:
-            what = f"{scores.wiped:.1%} of the walls are free floor in the map: they sent too little back, as mirrors do"
+            what = (
+                f"{scores.wiped:.1%} of the walls are free floor in the map: they sent too little back, as mirrors do"
+            )
             print(f"note: {what}; do not plan on it where map.png shows none", file=sys.stderr)
         print(escaped(f"{self.out}/map.png, map.html, drive.csv; {self.out}/explore.json has the figures"))
 
