@@ -10,7 +10,6 @@ from echogrid.errors import UsageError
 if TYPE_CHECKING:
     from echogrid.live.driving import Drives
 
-SPEED_M_S = 0.3
 MOST_SPEED_M_S, MOST_RADIUS_M = 1.0, 2.0
 """Sonars are too slow, and their maps too coarse, for more."""
 
@@ -42,14 +41,10 @@ class Explores:
             known: whether the map is known already.
         """
         if not self.explore:
-            for name in ("drive", "radius", "max_speed", "goal_topic", "cmd_vel_topic"):
-                if getattr(self, name) != getattr(Explores, name):
-                    raise UsageError(f"--{name.replace('_', '-')}: found no --explore, expected both")
+            self._refuse_without("explore", "drive", "radius", "max_speed", "goal_topic", "cmd_vel_topic")
             return None
         if not self.drive:
-            for name in ("max_speed", "cmd_vel_topic"):  # who takes goals drives as fast as he likes
-                if getattr(self, name) != getattr(Explores, name):
-                    raise UsageError(f"--{name.replace('_', '-')}: found no --drive, expected both")
+            self._refuse_without("drive", "max_speed", "cmd_vel_topic")  # who takes goals drives as fast as he likes
         elif self.goal_topic != Explores.goal_topic:
             raise UsageError("--goal-topic: found --drive, which sends no goals, expected one of the two")
         if known:
@@ -66,9 +61,16 @@ class Explores:
         pace = Pace(speed_m_s=self._speed, creep_m_s=min(self._speed, Pace.creep_m_s))
         return Drives(self.radius, self.drive, pace)
 
+    def _refuse_without(self, needed: str, *names: str) -> None:
+        for name in names:
+            if getattr(self, name) != getattr(Explores, name):
+                raise UsageError(f"--{name.replace('_', '-')}: found no --{needed}, expected both")
+
     @property
     def _speed(self) -> float:
-        return SPEED_M_S if self.max_speed is None else self.max_speed
+        from echogrid.planning.following import Pace
+
+        return Pace.speed_m_s if self.max_speed is None else self.max_speed
 
     def topics(self) -> tuple[str | None, str | None]:
         """Where goals and velocities go, None where none are sent.

@@ -198,10 +198,11 @@ class Explore:
 
     def _start(self, world: World, robot: Robot) -> Float[ndarray, "3"]:
         """Where the robot begins, m, m, rad."""
+        from echogrid.planning.explore import SPARE_M
         from echogrid.simulation.drive import start_of
 
         if self.start is None:
-            return np.array([*start_of(world, robot.footprint_radius_m + 0.1), 0.0])
+            return np.array([*start_of(world, robot.footprint_radius_m + SPARE_M), 0.0])
         return start_pose(self.start)
 
     def _write(self, world: World, robot: Robot, found: "Explored") -> "Scores | None":
@@ -230,6 +231,8 @@ class Explore:
         return scores
 
     def _report(self, world: World, robot: Robot, found: "Explored", scores: "Scores | None") -> None:
+        from echogrid.planning.explore import SPARE_M
+
         seen, count = found.seen[-1, 2], found.bumps
         bumps = f"{count or 'no'} {'collision' if count == 1 else 'collisions'}"
         soon = found.until(0.95)
@@ -246,7 +249,7 @@ class Explore:
                 file=sys.stderr,
             )
         if found.beyond > _NARROW:
-            wide = 2 * (robot.footprint_radius_m + 0.1)
+            wide = 2 * (robot.footprint_radius_m + SPARE_M)
             what = f"{found.beyond:.0%} of the floor is behind ways less than {wide:.2f} m wide"
             print(
                 escaped(f"note: {what}, which {robot.name} takes for too narrow, and does not count as in reach"),

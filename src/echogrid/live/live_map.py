@@ -157,9 +157,14 @@ class LiveMap:
         if self.placing:
             self.placing.equip()
         if self.nearby:
-            radius = self.footprint_radius_m or self.array.robot.footprint_radius_m
-            self.nearby.equip(replace(self.array.robot, footprint_radius_m=radius))
+            self.nearby.equip(self._robot)
         self._notes, self._judge = self.notes(), Judge(self.array.robot)
+
+    @property
+    def _robot(self) -> Robot:
+        """Whose scans are mapped, as large as somebody says."""
+        robot, radius = self._mapper.robot, self.footprint_radius_m
+        return robot if radius is None else replace(robot, footprint_radius_m=radius)
 
     @property
     def newest(self) -> float:
@@ -307,12 +312,9 @@ class LiveMap:
         if not self.scans:
             return None
         grid = deepcopy(self._mapper.grid()) if self._settings.known is None else self._settings.known
-        robot = self._mapper.robot
-        if self.footprint_radius_m is not None:
-            robot = replace(robot, footprint_radius_m=self.footprint_radius_m)
         settings = {
             "log": "live",
-            "robot": robot_yaml(robot),
+            "robot": robot_yaml(self._robot),
             "sonars": list(self.array.numbers),
             "fixed_frame": self.array.fixed,
             "robot_frame": self.array.base,
@@ -324,4 +326,6 @@ class LiveMap:
             "weights": self._network.recipe,
         }
         settings |= self.placing.settings() if self.placing else {}
-        return Snapshot(grid, self._path.points(), settings, f"live, {robot.sonars} sonars, {self._network.name}")
+        return Snapshot(
+            grid, self._path.points(), settings, f"live, {self._mapper.robot.sonars} sonars, {self._network.name}"
+        )

@@ -95,9 +95,8 @@ def read_map_server(path: Path) -> tuple[Grid, str]:
     share = float(np.mean(pixels == PIXEL_UNKNOWN))
     if share < LEAST_UNKNOWN:
         return grid, ""
-    remedy = "write 0.196 there" if free_thresh > 0.196 else ""
-    if mode == "scale":
-        remedy = " and ".join([*filter(None, [remedy]), "let mode be trinary"])
+    remedies = (("write 0.196 there", free_thresh > 0.196), ("let mode be trinary", mode == "scale"))
+    remedy = " and ".join(what for what, helps in remedies if helps)
     return grid, (
         f"{keys.at('free_thresh')} {free_thresh:g} makes the {share:.0%} of the cells free that are of grey "
         f"{PIXEL_UNKNOWN}, which map_saver writes for unknown, as it does in Nav2; if they are, {remedy}"

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 from scipy import ndimage
 
@@ -32,9 +32,13 @@ SEEN_SHARES = (0.9, 0.95, 0.99)
 _SAME = np.zeros(3)
 """A map that lies where the world does."""
 
-_CELL_M, _SPARE_M, _SMALL_M = 0.05, 0.1, 0.1
+_CELL_M, SPARE_M, _SMALL_M = 0.05, 0.1, 0.1
 """Of the floor that is asked after; room beside the footprint in the places that count as reachable; and what is much
 smaller than a robot: its radius."""
+
+
+def _at_the_rim(cells: Bool[ndarray, "rows cols"]) -> bool:
+    return bool(cells[[0, -1]].any() or cells[:, [0, -1]].any())
 
 
 @dataclass
@@ -61,7 +65,7 @@ class Reachable:
         x, y = (low[k] + (np.arange(n) + 0.5) * _CELL_M for k, n in enumerate((cols, rows)))
         middles = np.stack(np.meshgrid(x, y), axis=-1)
         gap = world.clearance(middles.reshape(-1, 2)).reshape(rows, cols)
-        keep = robot.footprint_radius_m + _SPARE_M
+        keep = robot.footprint_radius_m + SPARE_M
         pieces, _ = ndimage.label(gap > keep)
         col, row = np.floor((start - low) / _CELL_M).astype(int)
         inside = 0 <= row < rows and 0 <= col < cols
@@ -70,14 +74,15 @@ class Reachable:
             raise UsageError(f"world {world.name}: start: found {found}, expected a place to begin")
         off = ndimage.distance_transform_edt(pieces != piece) * _CELL_M
         border = pieces == piece
-        if border[[0, -1]].any() or border[:, [0, -1]].any():
+        if _at_the_rim(border):
             raise UsageError(
                 f"world {world.name}: found a hole through which the robot gets out, expected walls all round"
             )
         reached = off <= robot.footprint_radius_m
         small, _ = ndimage.label(gap > _SMALL_M)
         floor = small == small[row, col]
-        floor = floor if not floor[[0, -1]].any() and not floor[:, [0, -1]].any() else reached
+        if _at_the_rim(floor):  # it gets out through a gap that is none for the robot
+            floor = reached
         return Reachable(middles[reached], float(np.mean(~reached[floor])))
 
     def seen(self, grid: Grid, T_map_world: Float[ndarray, "3"] = _SAME) -> float:

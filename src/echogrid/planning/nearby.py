@@ -1,7 +1,6 @@
 """What was heard a moment ago, where odometry says that it is: near the robot that holds where the map is wrong."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +12,7 @@ from echogrid.grid import Grid, logit
 from echogrid.mapping.mapper import Mapper
 from echogrid.mapping.registry import DEFAULT
 from echogrid.models.model import Model
-from echogrid.planning.onward import Onward
+from echogrid.planning.onward import Onward, taken_at
 from echogrid.position.motion import jumped
 from echogrid.robot import Robot
 
@@ -23,9 +22,6 @@ HALF_LIFE_S = 10.0
 REACH_M, SURE_P = 0.3, 0.9
 """What is occupied with more than this, so near to the footprint, is there: on such a way a robot stops. What is less
 sure or farther off may be a door, whose posts are heard all over it."""
-
-OCCUPIED = 3.0
-"""Log-odds that what is occupied near the robot has in the map at least."""
 
 
 class Nearby:
@@ -83,11 +79,5 @@ class Nearby:
         near = self._mapper.around(x, y, 2 * reach)
         places = near.centre_of(np.argwhere(near.observed & (near.log_odds > logit(SURE_P))))
         places = places[np.hypot(*(places - odometry[:2]).T) < reach]
-        row, col = grid.index_of(transform(compose(pose, inverse(odometry)), places)).T
-        rows, cols = grid.shape
-        inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-        cells = row[inside], col[inside]
-        log_odds, observed = grid.log_odds.copy(), grid.observed.copy()
-        log_odds[cells] = np.maximum(log_odds[cells], OCCUPIED)
-        observed[cells] = True
-        return self._onward.laid_over(replace(grid, log_odds=log_odds, observed=observed), pose, odometry)
+        grid = taken_at(grid, transform(compose(pose, inverse(odometry)), places))
+        return self._onward.laid_over(grid, pose, odometry)

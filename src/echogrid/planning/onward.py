@@ -42,9 +42,21 @@ FREE_P = 0.05
 """What is occupied with less than this is free all the same: it was heard from afar."""
 
 OCCUPIED = 3.0
-"""Log-odds of it in the map at least."""
+"""Log-odds that what is occupied near the robot has in the map at least."""
 
 _CELL_M = 0.04
+
+
+def taken_at(grid: Grid, places: Float[ndarray, "n 2"], free_p: float = 0.0) -> Grid:
+    """A copy of a map by which places (m) are occupied, but those that it takes for free with p < ``free_p``."""
+    index = grid.index_of(places)
+    cells = tuple(index[np.all((index >= 0) & (index < grid.shape), axis=1)].T)
+    log_odds, observed = grid.log_odds.copy(), grid.observed.copy()
+    if free_p > 0:
+        unsure = ~observed[cells] | (log_odds[cells] > logit(free_p))
+        cells = tuple(axis[unsure] for axis in cells)
+    log_odds[cells], observed[cells] = np.maximum(log_odds[cells], OCCUPIED), True
+    return replace(grid, log_odds=log_odds, observed=observed)
 
 
 class Onward:
@@ -102,13 +114,7 @@ class Onward:
         """
         if not len(self._cells):
             return grid
-        index = grid.index_of(transform(compose(pose, inverse(odometry)), self._places()))
-        cells = tuple(index[np.all((index >= 0) & (index < grid.shape), axis=1)].T)
-        log_odds, observed = grid.log_odds.copy(), grid.observed.copy()
-        unsure = ~observed[cells] | (log_odds[cells] > logit(FREE_P))
-        cells = tuple(axis[unsure] for axis in cells)
-        log_odds[cells], observed[cells] = np.maximum(log_odds[cells], OCCUPIED), True
-        return replace(grid, log_odds=log_odds, observed=observed)
+        return taken_at(grid, transform(compose(pose, inverse(odometry)), self._places()), FREE_P)
 
     def _nearest(self, sonar: int) -> bool:
         """Whether a sonar that was heard just now heard something nearer than those beside it."""
