@@ -8,8 +8,9 @@ import pytest
 
 from commands import MAP_FILES, assert_refused, put
 from echogrid import Robot, load_log, metrics, read_map, read_truth
-from echogrid.metrics import score
+from echogrid.metrics import score, trajectory_error
 from echogrid.output.trajectory import read_tum
+from echogrid.planning import explore
 
 
 def test_a_room_is_explored_and_all_of_it_written(run, place):
@@ -23,6 +24,7 @@ def test_a_room_is_explored_and_all_of_it_written(run, place):
     assert told["seen"] >= 0.99
     assert told["collisions"] == 0
     assert told["home_m"] < 0.1
+    assert told["ate_m"] is None
     soon = told["until"]["95%"]["way_m"]
     assert f"of the floor in reach (95% by {soon:.1f} m), drove {told['way_m']:.1f} m, no collisions" in said
     assert score(read_map(out), read_truth(out / "drive.truth.npz")).free > 0.9
@@ -52,7 +54,20 @@ def test_poses_that_it_finds_are_written_beside_those_of_its_wheels(run, place):
     np.testing.assert_allclose(wheels[:, :2], told_by_wheels[:, :2], atol=1e-5)
     off, drift = (np.max(np.hypot(*(poses - true)[:, :2].T)) for poses in (found, wheels))
     assert 0 < off < 0.2
+    assert told["ate_m"] == pytest.approx(trajectory_error(found, true).aligned_rms_m, abs=1e-3)
     assert off < drift + 0.1  # in so small a room nothing has drifted far
+
+
+def test_a_map_that_lies_elsewhere_than_the_world_is_told(run, place, monkeypatch):
+    """An error of the poses is given: in so small a room they are found."""
+    monkeypatch.setattr(
+        explore, "trajectory_error", lambda *given: replace(trajectory_error(*given), aligned_rms_m=0.62)
+    )
+    status, _, noted = run("explore", "box.yaml", "--robot", "b21", "--seed", "2", "--slam", "--out", place / "off")
+    assert status == 0
+    assert json.loads((place / "off" / "explore.json").read_text())["ate_m"] == 0.62
+    (note,) = noted.splitlines()
+    assert note.startswith("note: the poses that were found are 0.62 m off the true ones (root mean square)")
 
 
 def test_what_the_map_lacks_and_the_robot_is_too_wide_for_is_told(run, place, monkeypatch):

@@ -17,7 +17,7 @@ from echogrid.geometry import compose, inverse
 from echogrid.metrics import trajectory_error
 from echogrid.position import motion
 from echogrid.position.contradictions import Compared
-from echogrid.position.corrected import LEAST_SONARS, _alone, _loose, _slipped, at_odds
+from echogrid.position.corrected import LEAST_SONARS, _alone, _loose, _slipped, at_odds, stretched
 from echogrid.position.drive import Drive, MatchEdge
 from echogrid.position.graph import Edges
 from echogrid.position.slam import Found
@@ -224,6 +224,16 @@ def test_it_is_told_where_odometry_is_off_what_was_seen():
     assert _slipped(replace(drive, odometry=drive.poses * [0.7, 0.7, 1])) != {}
 
 
+def test_a_map_of_another_size_than_odometry_makes_it_is_told():
+    (note,) = stretched(np.array([-0.153, 0.0, 0.0]))
+    assert note.startswith("what was seen makes all ways 15% shorter than the odometry says: drive one that")
+    assert note.endswith("the map is too small")
+    (note,) = stretched(np.array([0.12, 0.0, 0.0]))
+    assert "12% longer" in note
+    assert note.endswith("the map is too large")
+    assert stretched(np.array([0.06, 0.03, -0.1])) == {}
+
+
 @pytest.mark.unchecked
 def test_a_robot_that_is_carried_is_told_of():
     """Without a jump in the odometry: what it sees then stands where there was free floor."""
@@ -297,3 +307,36 @@ def test_a_look_that_brings_less_together_is_undone(monkeypatch):
     drive.reconcile()
     assert drive.compared().balance == pytest.approx(balance, rel=0.02)
     np.testing.assert_allclose(drive.poses, poses, atol=0.05)
+
+
+def contradicting(count, pieces):
+    """What was seen at so many of some pieces stands on floor that others saw."""
+    alike, against = np.full(pieces, 40), np.zeros(pieces, dtype=int)
+    alike[:count], against[:count] = 0, 40
+    return Compared(np.full(pieces, 40), alike, against)
+
+
+def test_loops_that_do_not_agree_or_settle_nothing_are_none():
+    drive = own(without_loops())
+    before, now = contradicting(40, drive.count), contradicting(8, drive.count)
+
+    def loops(wrong):
+        """Ten, of which so many lie 3 m from where the poses are."""
+        to = compose(inverse(drive.poses[0]), drive.poses[30:40])
+        to[:wrong, 0] += 3.0
+        return [MatchEdge(0, 30 + k, pose, np.eye(3) * 400, True) for k, pose in enumerate(to)]
+
+    assert drive._settled(loops(0), before, now)
+    assert drive._settled(loops(3), before, now)
+    assert not drive._settled(loops(4), before, now)
+    assert not drive._settled(loops(0), before, contradicting(36, drive.count))
+
+
+def test_no_pose_is_doubted_farther_than_odometry_can_have_drifted():
+    drive, most = without_loops(), np.array([0.4, 0.4, np.deg2rad(6)])
+    for j in (0, 20, 50):
+        near, far = (np.sqrt(np.diag(drive._doubted(j, k, most))) for k in (j + 4, drive.count - 1))
+        assert np.all(near[:2] < 0.2)
+        assert np.all(far <= most + 1e-9)
+        assert np.all(near < far + 1e-9)
+        assert np.all(far > 0.5 * most)

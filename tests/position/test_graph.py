@@ -103,6 +103,69 @@ def test_a_constant_error_of_odometry_is_found_with_the_poses():
     assert found.parameters[0] == pytest.approx(0.05, abs=0.01)
 
 
+def back_and_forth(rng, scale, pieces=400):
+    """A straight way to and fro, by odometry whose lengths are to be multiplied, and loops to its first pass."""
+    x = np.abs((np.arange(pieces) * 0.5 + 10) % 20 - 10)
+    poses = np.column_stack([x, np.zeros((pieces, 2))])
+    at = np.arange(pieces - 1)
+    spread = np.array([0.03, 0.03, 0.01])
+    step = (poses[1:] - poses[:-1]) / [scale, 1, 1] + spread * rng.normal(size=(pieces - 1, 3))
+    later = np.arange(40, pieces)
+    loops = poses[later] - poses[later % 40] + 0.02 * rng.normal(size=(len(later), 3))
+    by, none = np.zeros((pieces - 1, 3, 1)), np.full(pieces - 1, np.inf)
+    by[:, :2, 0] = step[:, :2]
+    odometry = graph.Edges(at, at + 1, step, np.tile(np.diag(spread**-2), (pieces - 1, 1, 1)), none, by)
+    tied = graph.Edges(
+        later % 40, later, loops, np.tile(np.eye(3) / 0.02**2, (len(later), 1, 1)), np.full(len(later), np.inf)
+    )
+    return poses, odometry, tied
+
+
+def test_the_scale_of_odometry_is_no_smaller_for_all_its_errors():
+    """Loops back to a place say nothing of the scale: what is found is 0, not what makes errors less."""
+    found = {"unit": [], "m": []}
+    for seed in range(10):
+        poses, odometry, tied = back_and_forth(np.random.default_rng(seed), 1.0)
+        for name, unit in (("unit", np.zeros(len(odometry.first), dtype=int)), ("m", None)):
+            edges = graph.joined([odometry._replace(unit=unit), tied])
+            told = graph.solve(poses, edges, np.zeros(1), np.full(1, 0.02), rounds=50)
+            found[name].append(told.parameters[0])
+    assert abs(np.mean(found["unit"])) < 0.003
+    assert np.mean(found["m"]) < -0.02
+
+
+@pytest.mark.parametrize("scale", [0.97, 1.05])
+def test_the_scale_of_odometry_is_found_where_places_far_apart_are_known(scale):
+    poses, odometry, _ = back_and_forth(np.random.default_rng(1), scale)
+    known = np.arange(5, len(poses), 5)
+    exact, none = np.tile(np.eye(3) / 0.05**2, (len(known), 1, 1)), np.full(len(known), np.inf)
+    far = graph.Edges(np.zeros(len(known), dtype=int), known, poses[known] - poses[0], exact, none)
+    edges = graph.joined([odometry._replace(unit=np.zeros(len(odometry.first), dtype=int)), far])
+    told = graph.solve(poses, edges, np.zeros(1), np.full(1, 0.1), rounds=50)
+    assert told.parameters[0] == pytest.approx(scale - 1, abs=0.006)
+
+
+def test_derivatives_hold_in_units_that_are_found():
+    poses, odometry, tied = back_and_forth(np.random.default_rng(2), 0.9, 60)
+    edges = graph.joined([odometry._replace(unit=np.zeros(59, dtype=int)), tied])
+    told = graph.solve(poses, edges, np.zeros(1), np.full(1, 0.1), rounds=100, tolerance=1e-10)
+
+    def cost(at, scale):
+        assert edges.by is not None
+        off = graph.residuals(at, edges, edges.measured + edges.by[..., 0] * scale).off
+        off[edges.unit == 0, :2] /= 1 + scale
+        return graph.chi2(off, edges.information).sum() + (scale / 0.1) ** 2
+
+    least, rng = cost(told.poses, told.parameters[0]), np.random.default_rng(3)
+    for _ in range(50):
+        step = rng.normal(0, 1e-4, poses.shape)
+        step[0] = 0
+        assert cost(told.poses + step, told.parameters[0] + rng.normal(0, 1e-4)) > least
+    for change in (-1e-4, 1e-4):  # all larger or smaller, as what is found must not prefer
+        larger = told.poses * [1 + change, 1 + change, 1]
+        assert cost(larger, (1 + told.parameters[0]) * (1 + change) - 1) > least
+
+
 def test_covariances_are_those_of_the_dense_inverse():
     rng = np.random.default_rng(6)
     poses, edges = loop_of(rng, 6)

@@ -127,8 +127,9 @@ def _csv(way: "Way") -> str:
     return "x,y,s,clearance\n" + "".join(",".join(f"{v:.4f}" for v in row) + "\n" for row in columns.tolist())
 
 
-_WIPED, _NARROW = 0.01, 0.1
-"""What is told: more walls that are free in the map, and more floor behind what is too narrow."""
+_WIPED, _NARROW, _OFF_M = 0.01, 0.1, 0.3
+"""What is told: more walls that are free in the map, more floor behind what is too narrow, and poses that are farther
+off."""
 
 _EXPLORED = ("drive.csv", "drive.truth.npz", "explore.json")
 
@@ -254,6 +255,13 @@ class Explore:
             print(
                 escaped(f"note: {what}, which {robot.name} takes for too narrow, and does not count as in reach"),
                 file=sys.stderr,
+            )
+        if (off := found.ate_m) is not None and off > _OFF_M:
+            what = (
+                f"the poses that were found are {off:.2f} m off the true ones (root mean square), and so is the map"
+            )
+            print(
+                f"note: {what}: do not judge it by how clean it looks; without --slam they are given", file=sys.stderr
             )
         if scores is not None and scores.wiped > _WIPED:
             what = (

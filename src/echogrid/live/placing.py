@@ -11,7 +11,7 @@ from numpy import ndarray
 from echogrid.frame import Frame
 from echogrid.live.sonar_array import SonarArray
 from echogrid.mapping.mapper import Mapper
-from echogrid.position.corrected import at_odds
+from echogrid.position.corrected import at_odds, stretched
 from echogrid.position.online import OnlineSlam
 from echogrid.position.remapping import Remapping, Renewed
 from echogrid.robot import Robot
@@ -104,7 +104,7 @@ class Slam(Placing):
         self._finder = OnlineSlam(array.robot)
         self._remapping = Remapping(self._finder, make)
         self._newest: float | None = None
-        self._at_odds = -1
+        self._doubts_told: set[tuple[int, str]] = set()
 
     @property
     @override
@@ -159,10 +159,13 @@ class Slam(Placing):
                 )
             else:
                 yield f"at {jump.stamp:.2f} s the odometry jumps or starts anew: the drive goes on from where it was"
-        if (graph := self._finder.graph) is not None and self._at_odds != self.drives:
-            for note in at_odds(graph.poses[: len(graph.together.alike)], graph.together):
-                self._at_odds = self.drives
-                yield note
+        if (graph := self._finder.graph) is None:
+            return
+        placed = graph.poses[: len(graph.together.alike)]
+        for name, doubts in (("at odds", at_odds(placed, graph.together)), ("size", stretched(graph.parameters))):
+            if doubts and (self.drives, name) not in self._doubts_told:
+                self._doubts_told.add((self.drives, name))
+                yield from doubts
 
     @override
     def status(self) -> str:

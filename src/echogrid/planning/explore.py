@@ -14,6 +14,7 @@ from echogrid.frame import Frame
 from echogrid.geometry import transform
 from echogrid.grid import FREE_THRESH, Grid
 from echogrid.mapping.mapper import Mapper
+from echogrid.metrics import trajectory_error
 from echogrid.planning.explorer import Explorer
 from echogrid.planning.placing import Found, Given
 from echogrid.robot import Robot
@@ -121,6 +122,9 @@ class Explored:
     """Places at the edge of what is known that showed nothing new, m, in the map."""
     beyond: float
     """See ``Reachable``."""
+    ate_m: float | None
+    """How far the poses in the map are off the true ones after rigid alignment (root mean square); None: those were
+    given."""
 
     def until(self, share: float) -> tuple[float, float] | None:
         """Way (m) and time (s) until a share of the reachable floor was seen; None: it never was."""
@@ -142,6 +146,7 @@ class Explored:
             "collisions": self.bumps,
             "least_clearance_m": round(self.least_m, 3),
             "home_m": round(self.home_m, 3),
+            "ate_m": self.ate_m and round(self.ate_m, 3),
             "frontiers_left": len(self.left),
             "left_at": np.round(self.left, 2).tolist(),
             "too_narrow": round(self.beyond, 4),
@@ -210,9 +215,14 @@ class Exploration:
         placed, off = placing.end(), placing.off()
         grid = placing.mapper.grid()
         seen.append((vehicle.way_m, vehicle.time_s, reachable.seen(grid, off)))
+        ate = None
+        if self.slam:
+            true = {frame.stamp: frame.pose for frame in frames}
+            mapped = np.array([(frame.pose, true[frame.stamp]) for frame in placed])
+            ate = trajectory_error(mapped[:, 0], mapped[:, 1]).aligned_rms_m
         return Explored(
             frames, placed, grid, explorer.end or "the time was up",
             float(np.linalg.norm(vehicle.pose[:2] - self.start[:2])), vehicle.way_m, vehicle.time_s, vehicle.bumps,
             vehicle.least_m, np.array(seen), np.array(took),
-            np.array([one.place for one in explorer.left]).reshape(-1, 2), reachable.beyond,
+            np.array([one.place for one in explorer.left]).reshape(-1, 2), reachable.beyond, ate,
         )  # fmt: skip

@@ -32,6 +32,10 @@ LOOSE_M, ODD_M, ODD_IN_ALL_M = 10.0, 1.0, 2.0
 """A way along which the drive is loose is told if it is longer than the first. Those along which it is at odds with
 itself are if each is longer than the second, and all together longer than the third."""
 
+STRETCHED = 0.1
+"""It is told if what was seen makes all ways longer or shorter than odometry says by more than this share: hardly any
+wheels are so far off, and a corridor without marks that is pulled together is."""
+
 SLIP_OVER_M, SLIP_M = 2.0, 0.45
 """It is told if over such a way (by odometry, less its systematic error) places lie so much other than that says.
 Odometry with twice the usual errors comes to 0.35 m at most."""
@@ -111,6 +115,7 @@ def slam(log: Iterable[Frame], robot: Robot, progress: Callable[[int, int], obje
     else:
         found = found_by([replace(f, pose=p) for f, p in zip(frames, told.poses, strict=True)], robot, progress)
         notes |= _unheard(stamps, found.poses, ranges) | _alone(found) | _loose(found) | _slipped(found)
+        notes |= stretched(found.drift)
         notes |= at_odds(found.poses[found.nodes], found.together)
     poses = told.poses if found is None else found.poses
     posed = Log(name, robot.sonars, log.robot if isinstance(log, Log) else None, _Posed(frames, poses), notes)
@@ -191,6 +196,19 @@ def _slipped(found: Found) -> dict[str, int]:
     x, y, _ = places[since[most]].tolist()
     where = f"by {off[most]:.1f} m in {SLIP_OVER_M:g} m of way, from x {x:.1f}, y {y:.1f} m on"
     return {f"odometry is off what was seen {where}: wheels slip there, or the map is wrong": 0}
+
+
+def stretched(drift: Float[ndarray, "3"]) -> dict[str, int]:
+    """A note on a map of another size than odometry makes it.
+
+    Args:
+        drift: what corrects the odometry, of its scale first.
+    """
+    if abs(way := float(drift[0])) <= STRETCHED:
+        return {}
+    longer, large = ("shorter", "small") if way < 0 else ("longer", "large")
+    what = f"what was seen makes all ways {abs(way):.0%} {longer} than the odometry says"
+    return {f"{what}: drive one that you measured by tape; if the odometry tells it right, the map is too {large}": 0}
 
 
 def at_odds(nodes: Float[ndarray, "nodes 3"], together: Compared) -> dict[str, int]:

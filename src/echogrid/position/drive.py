@@ -50,12 +50,22 @@ AMISS, APART, MOST_ROUNDS = np.array([1.0, 1.0, np.deg2rad(8.0)]), 20, 3
 """Standard deviations (m, m, rad) that a pose has besides where what was seen contradicts what other pieces saw, so
 many before or after it at least, and how often that is looked for."""
 
+SETTLED, LESS_AMISS = 0.7, 2 / 3
+"""Of the loops that are closed then so many agree with each other and with all else that is known if they are right,
+and at most so many of the pieces that contradicted others still do. In a corridor without marks many loops fit, and
+each pulls it together by as much as it likes."""
+
 BESIDE_M, TIED = 3.0, 8
 """Pieces that are so near to others, though far apart in time, see the same walls; they are loose if no loop begins
 or ends within so many pieces of one, nor its walls were seen by the others."""
 
 UNFAIR = 0.0
 """In place of ``matching.FAIR`` where a part of a drive must lie among what others saw."""
+
+NEARER, NEARER_BY = PARAMETERS, 0.01
+"""Behind the parameters of the odometry, that by which all matches tell distances too short, as a share, and its
+standard deviation: what one wall looks like from two places lies nearer together than they do. Hundreds of matches a
+little short would else outweigh what odometry tells of its scale."""
 
 KERNEL = 4.0
 """Standard deviations beyond which a match counts less."""
@@ -90,10 +100,14 @@ class MatchEdge(NamedTuple):
     loop: bool
 
 
-def _edges_of(matches: Sequence[MatchEdge]) -> Edges:
-    """Matches, at least one, with their robust kernel."""
+def _edges_of(matches: Sequence[MatchEdge], nearer: float) -> Edges:
+    """Matches, at least one, with their robust kernel, where they tell distances too short by a share."""
     first, second, pose, information, _ = (np.array(each) for each in zip(*matches, strict=True))
-    return Edges(first, second, pose, information, np.full(len(matches), KERNEL))
+    count = len(matches)
+    by = np.zeros((count, 3, PARAMETERS + 1))
+    by[:, :2, NEARER] = pose[:, :2]
+    pose[:, :2] *= 1 + nearer
+    return Edges(first, second, pose, information, np.full(count, KERNEL), by, np.full(count, NEARER))
 
 
 def _fits(found: Match) -> bool:
@@ -132,7 +146,7 @@ class Drive:
         self.cut = pieces(self._step)
         self.count = len(self.cut)
         self.poses = np.zeros((self.count, 3))
-        self.parameters = np.zeros(PARAMETERS)
+        self.parameters = np.zeros(PARAMETERS + 1)
         self.matches: list[MatchEdge] = []
         self._drift, self._trust = Drift(), np.ones(3)
         self._rng = np.random.default_rng(0)
@@ -185,7 +199,7 @@ class Drive:
 
     def reconcile(self) -> Compared:
         """Look once more, and widely, where what was seen contradicts what was seen at other times: there the poses
-        are less sure than the graph takes them to be. What brings less together is undone.
+        are less sure than the graph takes them to be. What does not settle it is undone.
 
         Returns:
             How what was seen lies together then.
@@ -204,7 +218,7 @@ class Drive:
                 break
             self._solve(self.count, 20)
             now = self.compared()
-            if now.balance <= told.balance:
+            if now.balance <= told.balance or not self._settled(self.matches[before[2] :], told, now):
                 self.poses, self.parameters = before[:2]
                 del self.matches[before[2] :]
                 self._correct()
@@ -212,6 +226,13 @@ class Drive:
                 return self.compared()
             told = now
         return told
+
+    def _settled(self, loops: Sequence[MatchEdge], before: Compared, now: Compared) -> bool:
+        """Whether loops bring together what was seen, and not merely themselves."""
+        edges = _edges_of(loops, self.parameters[NEARER])
+        off = chi2(residuals(self.poses, edges).off, edges.information)
+        agree = np.mean(off <= KERNEL**2) >= SETTLED
+        return bool(agree and now.doubtful.sum() <= LESS_AMISS * before.doubtful.sum())
 
     def _suspects(self, told: Compared) -> Int[ndarray, "suspects"]:
         """Pieces that contradict others, and the loose parts of the drive that such are in."""
@@ -235,7 +256,7 @@ class Drive:
     @property
     def drift(self) -> Float[ndarray, "3"]:
         """What corrects the odometry."""
-        return self.parameters + np.array([0.0, self._bias, 0.0])
+        return self.parameters[:PARAMETERS] + np.array([0.0, self._bias, 0.0])
 
     def trust(self) -> None:
         """Believe odometry as far as it has proved right (expectation maximisation): its errors along, across and in
@@ -244,7 +265,7 @@ class Drive:
         if self._solution is None:
             return
         if self._right():
-            self._step, self._bias, self.parameters = self._told, 0.0, np.zeros(PARAMETERS)
+            self._step, self._bias, self.parameters = self._told, 0.0, np.zeros(PARAMETERS + 1)
             self._trust = np.full(3, LEAST_TRUST)
             self._drift = replace(self._drift, scale=SURE, bias=SURE, turning=SURE)
             self._correct()
@@ -270,7 +291,7 @@ class Drive:
         if len(loops) < LEAST_LOOPS:
             return False
         told = chained(np.zeros(3), self._told)[[piece.middle for piece in self.cut]]
-        edges = _edges_of(loops)
+        edges = _edges_of(loops, self.parameters[NEARER])
         return bool(np.median(chi2(residuals(told, edges).off, edges.information)) <= RIGHT)
 
     def edges(self, count: int) -> Edges:
@@ -278,7 +299,7 @@ class Drive:
         odometry = self._odometry_edges(count - 1)
         parts = [odometry]
         if self.matches:
-            parts.append(_edges_of(self.matches))
+            parts.append(_edges_of(self.matches, self.parameters[NEARER]))
         if self._headings:
             information = np.zeros((len(self._headings), 3, 3))
             information[:, 2, 2] = COMPASS_RAD**-2
@@ -294,20 +315,21 @@ class Drive:
         between, self.by_odometry = self._between(self.parameters)
         self._maps.drive = self.by_odometry
         self._measured = between
-        self._by = np.zeros((self.count - 1, 3, PARAMETERS))
+        self._by = np.zeros((self.count - 1, 3, PARAMETERS + 1))
         small = 1e-4
         for k in range(PARAMETERS):
-            change = self._between(self.parameters + small * np.eye(PARAMETERS)[k])[0] - between
+            change = self._between(self.parameters + small * np.eye(PARAMETERS + 1)[k])[0] - between
             change[:, 2] = wrap(change[:, 2])
             self._by[:, :, k] = change / small
 
     def _odometry_edges(self, count: int) -> Edges:
         """From each of the first so many pieces to the next."""
         at, none = np.arange(count), np.full(count, np.inf)
-        return Edges(at, at + 1, self._measured[:count], self._information[:count], none, self._by[:count])
+        scale = np.zeros(count, dtype=int)
+        return Edges(at, at + 1, self._measured[:count], self._information[:count], none, self._by[:count], scale)
 
     def _between(self, parameters: ndarray) -> tuple[Float[ndarray, "pairs 3"], Float[ndarray, "frames 3"]]:
-        drive = chained(np.zeros(3), corrected(self._step, parameters))
+        drive = chained(np.zeros(3), corrected(self._step, parameters[:PARAMETERS]))
         at = drive[[piece.middle for piece in self.cut]]
         return steps(at), drive
 
@@ -428,7 +450,9 @@ class Drive:
             if any(abs(j - other) < BEFORE for other in tried) or any(abs(j - other) < ANCHOR for other in too_far):
                 continue
             first, second = min(j, k), max(j, k)
-            covariance = self._relative(first, second) + (0.0 if amiss is None else np.diag(amiss**2))
+            covariance = self._relative(first, second)
+            if amiss is not None:
+                covariance = covariance + self._doubted(first, second, amiss)
             if distance[near] <= 1.5 + 2 * np.sqrt(np.max(np.linalg.eigvalsh(covariance[:2, :2]))):
                 tried.append(j)
                 self._close_loop(first, second, covariance)
@@ -450,12 +474,31 @@ class Drive:
             if _fits(found):
                 self.matches.append(MatchEdge(j, k, found.pose, found.information, True))
                 return
-            covariance = covariance + np.diag(DOUBTED**2)
+            covariance = covariance + self._doubted(j, k, DOUBTED)
         own = range(max(0, k - 8), k + 1)
         self._looked[1] += 1
         found = self._match(k, own, j, target, covariance, WIDE_POINTS, wide=True)
         if found and found.share >= LOOP_SHARE and _fits(found) and found.unique >= UNIQUE:
             self.matches.append(MatchEdge(j, k, found.pose, found.information, True))
+
+    def _doubted(self, j: int, k: int, most: Float[ndarray, "3"]) -> Float[ndarray, "3 3"]:
+        """Covariance that the pose of piece k as seen from piece j may have besides: nowhere more than odometry
+        leaves open, and no more than so many standard deviations (m, m, rad).
+        """
+        at = compose(inverse(self.poses[j]), self.poses[j : k + 1])
+        variance = 1 / self._information[j:k, [0, 1, 2], [0, 1, 2]]
+        cos, sin = np.cos(at[:-1, 2]), np.sin(at[:-1, 2])
+        lever = at[-1, :2] - at[1:, :2]
+        by = np.zeros((k - j, 3, 3))
+        by[:, 0, :2], by[:, 1, :2] = np.stack([cos, -sin], axis=-1), np.stack([sin, cos], axis=-1)
+        by[:, :2, 2] = np.stack([-lever[:, 1], lever[:, 0]], axis=-1)
+        by[:, 2, 2] = 1
+        drifted = np.einsum("nij,nj,nkj->ik", by, variance, by)
+        drift = self._drift
+        systematic = np.einsum("nij,njp->ip", by, self._by[j:k, :, :PARAMETERS])
+        systematic *= (drift.scale, drift.bias, drift.turning)
+        drifted += systematic @ systematic.T
+        return np.linalg.inv(np.linalg.inv(drifted) + np.diag(most**-2))
 
     # Headings by the direction of walls.
 
@@ -504,7 +547,7 @@ class Drive:
 
     def _solve(self, count: int, rounds: int = SOLVE_ROUNDS) -> None:
         """Bring all pieces that were placed to where all that is known of them agrees best."""
-        spread = np.array([self._drift.scale, self._drift.bias, self._drift.turning])
+        spread = np.array([self._drift.scale, self._drift.bias, self._drift.turning, NEARER_BY])
         nodes = np.concatenate([self.poses[:count], np.zeros((1, 3))])
         self._solution = solve(nodes, self.edges(count), self.parameters, spread, rounds)
         self.poses[:count] = self._solution.poses[:-1]

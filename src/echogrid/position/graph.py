@@ -27,6 +27,9 @@ class Edges(NamedTuple):
     """Of a robust kernel, in standard deviations: what is farther off counts less (inf: all count in full)."""
     by: Float[ndarray, "edges 3 parameters"] | None = None
     """How the measured pose changes with the parameters; None: it does not."""
+    unit: Int[ndarray, "edges"] | None = None
+    """Parameter that with 1 is the unit, m, in which lengths were measured, errors and all; -1, None: 1 m. Without it
+    all poses draw together: that makes errors less, which are given in m, the more the more edges there are."""
 
 
 def joined(edges: Sequence[Edges]) -> Edges:
@@ -34,7 +37,8 @@ def joined(edges: Sequence[Edges]) -> Edges:
     parameters = max((each.by.shape[2] for each in edges if each.by is not None), default=0)
     by = [np.zeros((len(each.first), 3, parameters)) if each.by is None else each.by for each in edges]
     first, second, measured, information, width = (np.concatenate([each[k] for each in edges]) for k in range(5))
-    return Edges(first, second, measured, information, width, np.concatenate(by))
+    unit = np.concatenate([np.full(len(each.first), -1) if each.unit is None else each.unit for each in edges])
+    return Edges(first, second, measured, information, width, np.concatenate(by), unit)
 
 
 class Residuals(NamedTuple):
@@ -68,6 +72,12 @@ def residuals(
     by_measured[:, :2, :2] = -to_measured
     by_first[:, 2, 2], by_second[:, 2, 2], by_measured[:, 2, 2] = -1, 1, -1
     return Residuals(off, by_first, by_second, by_measured)
+
+
+def _times(found: Residuals, scale: Float[ndarray, "edges"]) -> Residuals:
+    """Residuals whose lengths are so many times as long."""
+    by_row = np.stack([scale, scale, np.ones(len(scale))], axis=-1)
+    return Residuals(found.off * by_row, *(by * by_row[..., None] for by in found[1:]))
 
 
 def _turned_back(angle: Float[ndarray, "n"]) -> Float[ndarray, "n 2 2"]:
@@ -173,6 +183,8 @@ class _System:
         self._edges, self._given, self._spread = edges, parameters, spread
         self._size, count = 3 * nodes + len(parameters), len(edges.first)
         self._by = np.zeros((count, 3, len(parameters))) if edges.by is None else edges.by
+        unit = np.full(count, -1) if edges.unit is None else edges.unit
+        self._in_unit = unit[:, None] == np.arange(len(parameters))
         three = np.arange(3)
         own = np.broadcast_to(3 * nodes + np.arange(len(parameters)), (count, len(parameters)))
         self._at = np.concatenate([3 * edges.first[:, None] + three, 3 * edges.second[:, None] + three, own], axis=1)
@@ -184,7 +196,7 @@ class _System:
 
     def at(self, poses: Float[ndarray, "nodes 3"], parameters: Float[ndarray, "parameters"]) -> _Point:
         measured = self._edges.measured + self._by @ (parameters - self._given)
-        found = residuals(poses, self._edges, measured)
+        found = _times(residuals(poses, self._edges, measured), 1 / (1 + self._in_unit @ parameters))
         squares = chi2(found.off, self._edges.information)
         cost = _cost(squares, self._edges.width) + float(np.sum((parameters / self._spread) ** 2))
         return _Point(poses, parameters, found, squares, cost)
@@ -193,7 +205,9 @@ class _System:
         """Half the second derivatives of the cost (of Gauss and Newton), and half the first."""
         off, by_first, by_second, by_measured = point.residuals
         information = self._edges.information * counted(point.chi2, self._edges.width)[:, None, None]
-        by = np.concatenate([by_first, by_second, by_measured @ self._by], axis=2)
+        by_parameters = by_measured @ self._by
+        by_parameters[:, :2] -= off[:, :2, None] * (self._in_unit / (1 + point.parameters))[:, None]
+        by = np.concatenate([by_first, by_second, by_parameters], axis=2)
         weighted = information @ by
         blocks = np.einsum("nij,nik->njk", by, weighted)
         gradient = np.bincount(self._at.ravel(), np.einsum("nij,ni->nj", weighted, off).ravel(), self._size)
