@@ -62,11 +62,6 @@ or ends within so many pieces of one, nor its walls were seen by the others."""
 UNFAIR = 0.0
 """In place of ``matching.FAIR`` where a part of a drive must lie among what others saw."""
 
-NEARER, NEARER_BY = PARAMETERS, 0.01
-"""Behind the parameters of the odometry, that by which all matches tell distances too short, as a share, and its
-standard deviation: what one wall looks like from two places lies nearer together than they do. Hundreds of matches a
-little short would else outweigh what odometry tells of its scale."""
-
 KERNEL = 4.0
 """Standard deviations beyond which a match counts less."""
 
@@ -100,14 +95,10 @@ class MatchEdge(NamedTuple):
     loop: bool
 
 
-def _edges_of(matches: Sequence[MatchEdge], nearer: float) -> Edges:
-    """Matches, at least one, with their robust kernel, where they tell distances too short by a share."""
+def _edges_of(matches: Sequence[MatchEdge]) -> Edges:
+    """Matches, at least one, with their robust kernel."""
     first, second, pose, information, _ = (np.array(each) for each in zip(*matches, strict=True))
-    count = len(matches)
-    by = np.zeros((count, 3, PARAMETERS + 1))
-    by[:, :2, NEARER] = pose[:, :2]
-    pose[:, :2] *= 1 + nearer
-    return Edges(first, second, pose, information, np.full(count, KERNEL), by, np.full(count, NEARER))
+    return Edges(first, second, pose, information, np.full(len(matches), KERNEL))
 
 
 def _fits(found: Match) -> bool:
@@ -146,7 +137,7 @@ class Drive:
         self.cut = pieces(self._step)
         self.count = len(self.cut)
         self.poses = np.zeros((self.count, 3))
-        self.parameters = np.zeros(PARAMETERS + 1)
+        self.parameters = np.zeros(PARAMETERS)
         self.matches: list[MatchEdge] = []
         self._drift, self._trust = Drift(), np.ones(3)
         self._rng = np.random.default_rng(0)
@@ -229,7 +220,7 @@ class Drive:
 
     def _settled(self, loops: Sequence[MatchEdge], before: Compared, now: Compared) -> bool:
         """Whether loops bring together what was seen, and not merely themselves."""
-        edges = _edges_of(loops, self.parameters[NEARER])
+        edges = _edges_of(loops)
         off = chi2(residuals(self.poses, edges).off, edges.information)
         agree = np.mean(off <= KERNEL**2) >= SETTLED
         return bool(agree and now.doubtful.sum() <= LESS_AMISS * before.doubtful.sum())
@@ -256,7 +247,7 @@ class Drive:
     @property
     def drift(self) -> Float[ndarray, "3"]:
         """What corrects the odometry."""
-        return self.parameters[:PARAMETERS] + np.array([0.0, self._bias, 0.0])
+        return self.parameters + np.array([0.0, self._bias, 0.0])
 
     def trust(self) -> None:
         """Believe odometry as far as it has proved right (expectation maximisation): its errors along, across and in
@@ -265,7 +256,7 @@ class Drive:
         if self._solution is None:
             return
         if self._right():
-            self._step, self._bias, self.parameters = self._told, 0.0, np.zeros(PARAMETERS + 1)
+            self._step, self._bias, self.parameters = self._told, 0.0, np.zeros(PARAMETERS)
             self._trust = np.full(3, LEAST_TRUST)
             self._drift = replace(self._drift, scale=SURE, bias=SURE, turning=SURE)
             self._correct()
@@ -291,7 +282,7 @@ class Drive:
         if len(loops) < LEAST_LOOPS:
             return False
         told = chained(np.zeros(3), self._told)[[piece.middle for piece in self.cut]]
-        edges = _edges_of(loops, self.parameters[NEARER])
+        edges = _edges_of(loops)
         return bool(np.median(chi2(residuals(told, edges).off, edges.information)) <= RIGHT)
 
     def edges(self, count: int) -> Edges:
@@ -299,7 +290,7 @@ class Drive:
         odometry = self._odometry_edges(count - 1)
         parts = [odometry]
         if self.matches:
-            parts.append(_edges_of(self.matches, self.parameters[NEARER]))
+            parts.append(_edges_of(self.matches))
         if self._headings:
             information = np.zeros((len(self._headings), 3, 3))
             information[:, 2, 2] = COMPASS_RAD**-2
@@ -315,10 +306,10 @@ class Drive:
         between, self.by_odometry = self._between(self.parameters)
         self._maps.drive = self.by_odometry
         self._measured = between
-        self._by = np.zeros((self.count - 1, 3, PARAMETERS + 1))
+        self._by = np.zeros((self.count - 1, 3, PARAMETERS))
         small = 1e-4
         for k in range(PARAMETERS):
-            change = self._between(self.parameters + small * np.eye(PARAMETERS + 1)[k])[0] - between
+            change = self._between(self.parameters + small * np.eye(PARAMETERS)[k])[0] - between
             change[:, 2] = wrap(change[:, 2])
             self._by[:, :, k] = change / small
 
@@ -329,7 +320,7 @@ class Drive:
         return Edges(at, at + 1, self._measured[:count], self._information[:count], none, self._by[:count], scale)
 
     def _between(self, parameters: ndarray) -> tuple[Float[ndarray, "pairs 3"], Float[ndarray, "frames 3"]]:
-        drive = chained(np.zeros(3), corrected(self._step, parameters[:PARAMETERS]))
+        drive = chained(np.zeros(3), corrected(self._step, parameters))
         at = drive[[piece.middle for piece in self.cut]]
         return steps(at), drive
 
@@ -495,7 +486,7 @@ class Drive:
         by[:, 2, 2] = 1
         drifted = np.einsum("nij,nj,nkj->ik", by, variance, by)
         drift = self._drift
-        systematic = np.einsum("nij,njp->ip", by, self._by[j:k, :, :PARAMETERS])
+        systematic = np.einsum("nij,njp->ip", by, self._by[j:k])
         systematic *= (drift.scale, drift.bias, drift.turning)
         drifted += systematic @ systematic.T
         return np.linalg.inv(np.linalg.inv(drifted) + np.diag(most**-2))
@@ -547,7 +538,7 @@ class Drive:
 
     def _solve(self, count: int, rounds: int = SOLVE_ROUNDS) -> None:
         """Bring all pieces that were placed to where all that is known of them agrees best."""
-        spread = np.array([self._drift.scale, self._drift.bias, self._drift.turning, NEARER_BY])
+        spread = np.array([self._drift.scale, self._drift.bias, self._drift.turning])
         nodes = np.concatenate([self.poses[:count], np.zeros((1, 3))])
         self._solution = solve(nodes, self.edges(count), self.parameters, spread, rounds)
         self.poses[:count] = self._solution.poses[:-1]

@@ -118,7 +118,7 @@ class Growing(Drive):
         if abs(found - known) < BENT:
             self._step = step
             return
-        self._bias, self.parameters = found, np.zeros(PARAMETERS + 1)
+        self._bias, self.parameters = found, np.zeros(PARAMETERS)
         self._step = corrected(self._step, np.array([0.0, found, 0.0]))
         self._correct()
         self._maps.forget_ways()
