@@ -162,10 +162,11 @@ class Slam(Placing):
         if (graph := self._finder.graph) is None:
             return
         placed = graph.poses[: len(graph.together.alike)]
-        for name, doubts in (("at odds", at_odds(placed, graph.together)), ("size", stretched(graph.parameters))):
-            if doubts and (self.drives, name) not in self._doubts_told:
+        doubts = {"odds": lambda: at_odds(placed, graph.together), "size": lambda: stretched(graph.parameters)}
+        for name, asked in doubts.items():
+            if (self.drives, name) not in self._doubts_told and (notes := asked()):
                 self._doubts_told.add((self.drives, name))
-                yield from doubts
+                yield from notes
 
     @override
     def status(self) -> str:

@@ -101,6 +101,12 @@ def _edges_of(matches: Sequence[MatchEdge]) -> Edges:
     return Edges(first, second, pose, information, np.full(len(matches), KERNEL))
 
 
+def _squares(loops: Sequence[MatchEdge], poses: Float[ndarray, "pieces 3"]) -> Float[ndarray, "loops"]:
+    """How far loops are off what poses say, squared, in standard deviations."""
+    edges = _edges_of(loops)
+    return chi2(residuals(poses, edges).off, edges.information)
+
+
 def _fits(found: Match) -> bool:
     return (
         found.agreement >= LOOP_AGREEMENT
@@ -220,9 +226,7 @@ class Drive:
 
     def _settled(self, loops: Sequence[MatchEdge], before: Compared, now: Compared) -> bool:
         """Whether loops bring together what was seen, and not merely themselves."""
-        edges = _edges_of(loops)
-        off = chi2(residuals(self.poses, edges).off, edges.information)
-        agree = np.mean(off <= KERNEL**2) >= SETTLED
+        agree = np.mean(_squares(loops, self.poses) <= KERNEL**2) >= SETTLED
         return bool(agree and now.doubtful.sum() <= LESS_AMISS * before.doubtful.sum())
 
     def _suspects(self, told: Compared) -> Int[ndarray, "suspects"]:
@@ -282,8 +286,7 @@ class Drive:
         if len(loops) < LEAST_LOOPS:
             return False
         told = chained(np.zeros(3), self._told)[[piece.middle for piece in self.cut]]
-        edges = _edges_of(loops)
-        return bool(np.median(chi2(residuals(told, edges).off, edges.information)) <= RIGHT)
+        return bool(np.median(_squares(loops, told)) <= RIGHT)
 
     def edges(self, count: int) -> Edges:
         """What is known of the first so many pieces; a node behind them is the compass."""
