@@ -54,6 +54,27 @@ def test_a_sonar_without_a_place_is_left_out_and_joins_when_it_has_one(live):
     np.testing.assert_array_equal(drive.frames[-1].ranges, [1.0, 2.0, inf, 0.5])
 
 
+@pytest.mark.parametrize("lack", ["its place", "its readings"])
+def test_a_sonar_that_turns_up_soon_after_the_others_is_in_the_map_from_the_start(live, lack):
+    drive = Drive(live, MOUNTS if lack == "its readings" else MOUNTS[:3])
+    drive.mounts = MOUNTS
+    drive.run(10, (1.0, 2.0, inf, None if lack == "its readings" else 0.5))
+    assert drive.mapper.robot.sonars == 3
+    drive.take(Heard.STATIC, "/tf_static", tf(transform(0, "base_link", "sonar_3", *MOUNTS[3])))
+    drive.run(40)
+    assert drive.notices[1] == "new: sonar_3; the map begins anew with what all heard"
+    assert drive.notices[2].startswith("mapping in odom with 4 sonars")
+    assert len(drive.notices) == 3
+    assert len(drive.frames) == live.scans == 50
+    assert not drive.mapper.before
+    assert not live.refused
+    missed = 10 if lack == "its readings" else 0
+    assert live.readings == 200 - missed
+    fourth = np.array([frame.ranges[3] for frame in drive.frames])
+    assert np.isnan(fourth[:missed]).all()
+    np.testing.assert_array_equal(fourth[missed:], 0.5)
+
+
 def test_a_frame_to_map_in_that_comes_late_is_told_of(drive):
     drive.run(40)
     drive.take(Heard.TF, "/tf", tf(transform(START_S + drive.time, "map", "odom", 5.0, 0.0, 0.0)))

@@ -43,6 +43,7 @@ MAX_NAME = 200
 _BEYOND = 1.2
 """How many times the maximum range is past it by far."""
 
+NEW_SONAR = "a reading of a sonar that is new, or whose place is not known"
 SECOND_TOPIC = "a reading of a second topic in the frame of another"
 
 
@@ -104,6 +105,7 @@ class Hearing:
         self._rounds: Counter[str] = Counter()
         self._posed = -inf
         self._waiting: deque[tuple[str, float, float]] = deque(maxlen=MAX_WAITING)
+        self._keeps = True
         self._array: SonarArray | None = None
 
     def take(self, heard: Heard, topic: str, message: Any, now: float) -> None:
@@ -152,18 +154,26 @@ class Hearing:
             self.sonars = {name: each for name, each in self.sonars.items() if name in self.transforms}
 
     def begin(self, array: SonarArray) -> None:
-        """Hand readings on to the array of sonars from now on, and first those that waited for it."""
+        """Hand readings on to the array of sonars from now on, and first those that waited for it; they are kept for
+        another until ``forget``.
+        """
         self._array = array
-        while self._waiting:
-            self._hand_on(array, *self._waiting.popleft())
+        for each in self._waiting:
+            self._hand_on(array, *each)
+
+    def forget(self) -> None:
+        """Keep no reading that an array had."""
+        self._waiting.clear()
+        self._keeps = False
 
     def halt(self) -> None:
-        """Hand readings on to no array any more; they wait for the next."""
-        self._array = None
+        """Hand readings on to no array any more: those that are kept, and those that come, wait for the next."""
+        self._array, self._keeps, self.readings = None, True, 0
+        del self._refused[NEW_SONAR]
 
     def _hand_on(self, array: SonarArray, frame: str, stamp: float, range_m: float) -> None:
         if frame not in array.numbers:
-            self._refused["a reading of a sonar that is new, or whose place is not known"] += 1
+            self._refused[NEW_SONAR] += 1
         elif array.scans.add(array.numbers[frame], stamp, range_m) is None:
             self.readings += 1
 
@@ -239,9 +249,9 @@ class Hearing:
         self._rounds[frame] = self._rounds[frame] + 1 if abs(stamp - self._posed) < APART_S else 0
         if limits == self.sonars[frame].limits and _outside(raw, *limits):
             value = raw  # the array has the same limits; whoever judges the readings wants to know
-        if self._array is None:
+        if self._keeps:
             self._waiting.append((frame, stamp, value))
-        else:
+        if self._array is not None:
             self._hand_on(self._array, frame, stamp, value)
 
     def bring_together(self) -> None:

@@ -43,6 +43,10 @@ CHECK_S, SOON_S = 1.0, 0.05
 JUDGE_S, JUDGE_EVERY_S = 15.0, 10.0
 """Scans are judged when they have been mapped for so long, and how often then."""
 
+ANEW_S = SETTLE_S + CHECK_S
+"""So soon after it began a map begins anew where what came since says how it should have begun: hardly anything is
+lost."""
+
 GONE_S = 2.0
 """When no sonar at all has been heard for so long, all are silent."""
 
@@ -65,8 +69,8 @@ class Live:
         self._said: set[str] = set()
         self._hearing = Hearing(self._refused)
         self._map: LiveMap | None = None
-        self._begin_due = self._check_due = self._rebuilt = self._began = -inf
-        self._rebuild_due = self._judge_due = inf
+        self._begin_due = self._check_due = self._rebuilt = -inf
+        self._rebuild_due = self._judge_due = self._began = inf
         self._known_due = settings.known is not None
         self._telling = Telling()
         self._driving = Driving(drives) if drives else None
@@ -118,7 +122,8 @@ class Live:
         if self._map is None and now >= self._begin_due and hearing.settled(now):
             self._begin_due = now + SOON_S
             self._settle()
-            self._began = now
+            if self._map is not None:
+                self._began = min(self._began, now)
         yield from self._known()
         if self._map is not None:
             self._be_put(self._map)
@@ -149,6 +154,8 @@ class Live:
         hearing = self._hearing
         hearing.bring_together()
         if self._map is not None:
+            if now - self._began > ANEW_S:
+                hearing.forget()
             self._watch(self._map.array, now)
         if self._map is not None:
             self._admit(self._map, now)
@@ -295,15 +302,18 @@ class Live:
                 frame = self.settings.map_frame
                 self._say_once([f"{array.fixed} is told in {frame} by another program as well: stop it"])
         elif fixed not in (None, array.fixed) and self.settings.choice.fixed is None:
-            if (
-                now - self._began <= SETTLE_S + CHECK_S
-            ):  # whoever tells it began a little later: hardly anything is lost
-                self._map = None
-                self._hearing.halt()
-                self._notices.append(f"there is {fixed} now: the map begins anew in it, not in {array.fixed}")
+            if now - self._began <= ANEW_S:
+                self._hearing.forget()  # of before it there are no poses in it
+                self._anew(f"there is {fixed} now: the map begins anew in it, not in {array.fixed}")
                 return
             self._say_once([f"there is {fixed} now; to map in it rather than in {array.fixed}, start again"])
         self._notices += array.watch(gone=now - self._hearing.last_range > GONE_S)
+
+    def _anew(self, why: str) -> None:
+        """Begin the map anew, and tell why."""
+        self._map = None
+        self._hearing.halt()
+        self._notices.append(why)
 
     def _admit(self, live_map: LiveMap, now: float) -> None:
         """Take sonars into the array that were first heard, or whose place became known, while mapping."""
@@ -311,6 +321,9 @@ class Live:
         new = self._mounts([name for name in hearing.apart if name not in array.numbers], array.base)
         if not new:
             self._rebuild_due = inf
+            return
+        if now - self._began <= ANEW_S and self.settings.known is None:
+            self._anew(f"new: {listed(new)}; the map begins anew with what all heard")
             return
         if self._rebuild_due == inf:  # others may come with it
             self._rebuild_due = max(now + SETTLE_S, self._rebuilt + REBUILD_S)
