@@ -101,7 +101,7 @@ def echo() -> None:
         if time.monotonic() >= due:
             network.discover()
             due = time.monotonic() + 0.5
-        for _, _, message in network.take():
+        for _, _, message, _ in network.take():
             if hasattr(message, "range"):
                 stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
                 heard[stamp] += 1

@@ -83,16 +83,18 @@ class Drive:
         static = [transform(0, "base_link", f"sonar_{i}", *mount) for i, mount in enumerate(mounts)]
         self.take(Heard.STATIC, "/tf_static", tf(*static))
 
-    def take(self, heard, topic, message):
-        self.live.take(heard, topic, message, self.time)
+    def take(self, heard, topic, message, source=None):
+        self.live.take(heard, topic, message, self.time, source)
 
-    def pose(self, x=0.0, y=0.0, theta=0.0):
-        self.take(Heard.TF, "/tf", tf(transform(START_S + self.time, "odom", "base_link", x, y, theta)))
+    def pose(self, x=0.0, y=0.0, theta=0.0, after=0.0, source=None):
+        stamp = START_S + self.time + after
+        self.take(Heard.TF, "/tf", tf(transform(stamp, "odom", "base_link", x, y, theta)), source)
 
-    def ranges(self, values, stamp=None):
+    def ranges(self, values, stamp=None, source=None):
         for i, value in enumerate(values):
             if value is not None:
-                self.take(Heard.RANGE, f"/s{i}", range_of(stamp or START_S + self.time, f"sonar_{i}", value))
+                message = range_of(stamp or START_S + self.time, f"sonar_{i}", value)
+                self.take(Heard.RANGE, f"/s{i}", message, source)
 
     def step(self):
         self.pictures += self.live.step(self.time)

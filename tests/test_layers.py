@@ -35,8 +35,8 @@ PLAN = {
     "recording page rerun_file rerun_server calibration_files",
     "fleet": "lattice sums store poses job reading local_cluster engine page changes changes_files",
     "microcontroller": "array constants source",
-    "live": "sonar_array clocks hearing telling placing known live_map driving session base sockets participant "
-    "tf_topics dds_types dds base_topics",
+    "live": "sonar_array clocks senders hearing telling placing known live_map driving session base sockets "
+    "participant tf_topics dds_types dds base_topics",
     "cli": "ending arguments network info poses maps localise calibrating planning simulation export driving live "
     "robot fleet stores helping completion commands",
 }

@@ -23,7 +23,10 @@ def parse_yaml(text: str, where: str) -> dict[Any, Any]:
     """
     try:
         refuse_bomb(text, where)
-        data = yaml.safe_load(text)
+        loader = yaml.SafeLoader(text)
+        node = loader.get_single_node()
+        _refuse_twice(node, set())
+        data = None if node is None else loader.construct_document(node)
     except InputError:
         raise
     except yaml.YAMLError as error:
@@ -56,6 +59,21 @@ def refuse_bomb(text: str, where: str) -> None:
         raise InputError(where, f"anchors that become more than {MAX_NODES} values", "YAML that holds what it says")
     if re.search(rf"[\d:_.]{{{_LONGEST_NUMBER}}}", text):
         raise InputError(where, f"a number of more than {_LONGEST_NUMBER} characters", "numbers")
+
+
+def _refuse_twice(node: yaml.Node | None, known: set[int]) -> None:
+    """Refuse a key that a mapping has twice, of which YAML would take the last without a word."""
+    if not isinstance(node, yaml.CollectionNode) or id(node) in known:
+        return
+    known.add(id(node))
+    keys: set[tuple[str, str]] = set()
+    for each in node.value:
+        for part in each if isinstance(each, tuple) else (each,):
+            _refuse_twice(part, known)
+        if isinstance(each, tuple) and isinstance(key := each[0], yaml.ScalarNode):
+            if (key.tag, key.value) in keys:
+                raise yaml.MarkedYAMLError(problem=f"the key {shown(key.value)} twice", problem_mark=key.start_mark)
+            keys.add((key.tag, key.value))
 
 
 def _weight(node: yaml.Node, known: dict[int, float]) -> float:

@@ -108,6 +108,28 @@ def test_a_door_that_is_hardly_wide_enough_is_told(run, place):
     assert noted.count("\n") == 1
 
 
+def test_what_it_drives_over_and_where_it_begins_is_told_as_it_is(run, place):
+    pixels = np.full((40, 80), 254, np.uint8)
+    pixels[[0, -1]] = pixels[:, [0, -1]] = 0
+    pixels[1:-1, 30:50] = 205  # 2 m that nobody saw
+    put(place / "plan.pgm", b"P5\n80 40\n255\n" + pixels.tobytes())
+    put(place / "plan.yaml", "image: plan.pgm\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.196\n")  # fmt: skip
+    words = ("plan", "plan.yaml", "--robot", "b21", "--from", "0.3,2", "--to", "7,2", "--unknown", "--out", "way")
+    status, said, noted = run(*words)
+    assert status == 0
+    assert noted.startswith("note: the start was moved by 0.")
+    assert noted.count("\n") == 1
+    x, _, s, clearance = table(place / "way" / "path.csv").T
+    along = np.diff(s)[(clearance[1:] < -0.005) | (clearance[:-1] < -0.005)].sum()
+    assert (
+        f"{along:.2f} m of it over what is not surely free, which b21 covers by up to {-clearance.min():.2f} m"
+        in said
+    )
+    assert 2.4 < along < 2.8
+    assert x[0] > 0.35
+
+
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [

@@ -290,6 +290,13 @@ def test_yaml_that_becomes_far_more_than_it_is_is_refused_at_once(run, place, ar
     assert "anchors that become" in err or "a number of more than" in err
 
 
+def test_a_key_that_is_written_twice_is_refused_with_its_line(run, place):
+    """YAML takes the last: half of the walls would be missing."""
+    put(place / "box.yaml", WORLD + "walls:\n  - {points: [[1, 1], [2, 2]], roughness_mm: 1.0}\n")
+    line = WORLD.count("\n") + 1
+    assert f"box.yaml:{line}: found the key 'walls' twice, expected YAML" in assert_refused(run, place, *SIMULATE)
+
+
 def npz_of(path, length, **arrays):
     """An archive with zeros besides; they become a thousandth when they are packed."""
     np.savez_compressed(path, zeros=np.zeros(length, dtype=np.uint8), **arrays)

@@ -75,6 +75,7 @@ def test_ranges_of_both_releases_and_of_both_reliabilities_are_heard_and_other_t
         assert heard.count((f"/{name}", "Range", 1.25)) == 5
     assert ("/tf_static", "TFMessage", None) in heard
     assert {topic for topic, _, _ in heard} == {"/old", "/new", "/sure", "/tf_static"}
+    assert said["senders"] == said["sources"] == 4  # writers are told apart, each stays the same
     assert said["refused"] == {}
     assert said["kept"]
 

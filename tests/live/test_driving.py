@@ -1,5 +1,7 @@
 """A robot that is driven by its live map: it goes where all is known to be free, and stands where it is in doubt."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -7,9 +9,10 @@ from echogrid.geometry import compose, wrap
 from echogrid.grid import Grid
 from echogrid.live import live_map
 from echogrid.live.driving import REST, Drives, Goal, Velocity
+from echogrid.live.hearing import Heard
 from echogrid.live.live_map import Settings
 from echogrid.live.session import Live
-from live_drive import MOUNTS, NETWORK, START_S, Drive, Recorder
+from live_drive import MOUNTS, NETWORK, START_S, Drive, Recorder, xyz
 
 STEP_S = 0.1
 
@@ -169,6 +172,45 @@ def test_it_stands_while_what_it_drives_by_is_silent_and_goes_on_afterwards(driv
     assert np.linalg.norm(driven.pose_ - there) > 0.1
 
 
+def test_it_stands_while_two_robots_tell_where_they_are(driven):
+    underway(driven)
+    for _ in range(10):
+        driven.pose(*driven.pose_, source="one")
+        driven.pose(*driven.pose_, after=0.02, source="other")
+        driven.go(STEP_S)
+    assert driven.velocity == (0.0, 0.0)
+    assert driven.said("the robot stands: two programs at once tell base_link on /tf") == 1
+    driven.go(4.0)
+    assert driven.said("the robot goes on") == 1
+    assert driven.said("two programs at once tell base_link on /tf: stop one") == 1
+    assert any("stop one" in note for note in driven.live.snapshot().settings["notes"])
+
+
+def command(speed, turn=0.0):
+    return SimpleNamespace(linear=xyz(speed, 0.0), angular=xyz(0.0, 0.0, turn))
+
+
+def test_it_leaves_the_robot_to_another_program_that_drives_it(driven):
+    underway(driven)
+    for _ in range(10):
+        driven.take(Heard.COMMAND, "/cmd_vel", command(0.3))
+        before = len(driven.velocities)
+        driven.go(STEP_S)
+    assert len(driven.velocities) == before
+    assert driven.said("the robot stands: another program drives it as well: stop one of the two") == 1
+    driven.go(5.0)
+    assert driven.said("the robot goes on") == 1
+    assert driven.velocity != (0.0, 0.0)
+
+
+@pytest.mark.parametrize("message", [command(0.0), SimpleNamespace(linear=None), SimpleNamespace()])
+def test_who_only_says_stop_or_nothing_disturbs_nobody(driven, message):
+    underway(driven)
+    driven.take(Heard.COMMAND, "/cmd_vel", message)
+    driven.go(1.0)
+    assert driven.said("the robot stands") == 0
+
+
 def test_it_stands_while_the_robots_clock_does(driven):
     underway(driven)
     stamp = START_S + driven.time - STEP_S
@@ -183,6 +225,19 @@ def test_it_stands_while_the_robots_clock_does(driven):
 def test_a_pose_that_jumps_stops_it_for_good(driven, jump):
     underway(driven)
     driven.pose_ += jump
+    assert stands(driven, 0.5)
+    assert stands(driven, 20.0)
+    assert driven.said("its place is in doubt: start echogrid live again") == 1
+
+
+def test_a_base_that_was_restarted_in_its_place_stops_it_for_good(driven):
+    underway(driven)
+    for _ in range(200):
+        if np.hypot(*driven.pose_[:2]) > 0.3:
+            break
+        driven.go(STEP_S)
+    driven.go(5.0, ranges=False, odometry=False)
+    driven.pose_ = np.zeros(3)
     assert stands(driven, 0.5)
     assert stands(driven, 20.0)
     assert driven.said("its place is in doubt: start echogrid live again") == 1

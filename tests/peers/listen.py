@@ -12,7 +12,7 @@ from echogrid.ros.messages import Choice
 
 network = Network(int(sys.argv[1]), sys.argv[2], Choice(), "/map", "/local_map")
 print("ready", flush=True)
-heard = []
+heard, senders = [], set()
 waiting = Thread(target=sys.stdin.read)
 waiting.start()
 last = False
@@ -20,7 +20,9 @@ while not last:
     last = not waiting.is_alive()  # and what came before it is still taken
     network.wait(0.05)
     network.discover()
-    for _, topic, message in network.take():
+    for _, topic, message, source in network.take():
         value = getattr(message, "range", None)
         heard.append([topic, type(message).__name__, value if value == value else None])
-print(json.dumps({"kept": network.kept, "heard": heard, "refused": network.refused}))
+        senders.add((topic, source))
+told = {"kept": network.kept, "heard": heard, "senders": len(senders), "refused": network.refused}
+print(json.dumps(told | {"sources": len({source for _, source in senders})}))

@@ -1,6 +1,7 @@
 """Paths on maps, against closed forms, invariances and what a robot's disc covers."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -232,6 +233,30 @@ def test_a_door_too_narrow_is_named():
     assert width == pytest.approx(0.4, abs=2 * CELL)
     assert math.dist((x, y), (3.025, 2.0)) < 0.25
     assert f"expected a way {2 * (R + NARROW_M):.2f} m wide" in said
+
+
+def test_the_narrowest_place_is_the_door_not_the_end_of_a_wall_on_the_way():
+    values = parted(door=0.4)
+    values[round(1.0 / CELL) :, round(1.5 / CELL)] = 0.95  # it could be driven round closely
+    said = refusal(grid_of(values), (0.8, 3), (5, 2), B21)
+    x, y = (float(said.split(key)[1].split(end)[0]) for key, end in (("at (", ","), (", ", ")")))
+    assert math.dist((x, y), (3.025, 2.0)) < 0.25
+
+
+@pytest.mark.parametrize("wide_m", [CELL, 1.0])
+def test_ground_that_is_not_known_is_no_door(wide_m):
+    values = room()
+    values[1:-1, round(3.0 / CELL) : round((3.0 + wide_m) / CELL)] = np.nan
+    said = refusal(grid_of(values), (1, 2), (5, 2), B21)
+    assert "walls, or what is unknown, are all round it" in said
+    assert said.endswith("; over ground that is not known there is a way (--unknown)")
+    assert plan(grid_of(values), (1, 2), (5, 2), B21, unknown=True).length_m == pytest.approx(4, rel=0.02)
+    assert "--unknown" not in refusal(grid_of(parted()), (1, 2), (5, 2), B21)
+
+
+def test_a_robot_without_a_footprint_is_refused():
+    with pytest.raises(UsageError, match="robot b21: footprint_radius_m: found 0, expected the radius"):
+        plan(grid_of(room()), (1, 2), (5, 2), replace(B21, footprint_radius_m=0.0))
 
 
 def test_a_door_with_smeared_posts_is_driven_through_and_named():

@@ -31,6 +31,15 @@ def test_what_a_robot_can_have_driven_stays_to_the_last_bit(drive):
     assert (found.notes, found.impossible) == ({}, 0.0)
 
 
+def test_odometry_that_starts_anew_after_a_silence_is_not_taken_for_a_way(drive):
+    stamps, poses, ranges = drive
+    anew = np.concatenate([poses[:300], compose(inverse(poses[300]), poses[300:])])
+    found = mended(np.where(np.arange(len(stamps)) < 300, stamps, stamps + 600), anew, ranges)
+    assert off(found.poses, poses) < 2 * SPEED_M_S / RATE_HZ
+    (note,) = found.notes
+    assert note.startswith("the odometry starts anew at 0 at 630.00 s, from x ")
+
+
 def test_odometry_that_starts_anew_goes_on_from_where_it_was(drive):
     stamps, poses, ranges = drive
     anew = np.concatenate([poses[:300], compose(inverse(poses[300]), poses[300:])])

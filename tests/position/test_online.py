@@ -98,6 +98,24 @@ def test_odometry_that_starts_anew_is_one_drive(finder):
     assert error(then, TRUTH[:250]) < 0.1
 
 
+@pytest.mark.parametrize("at", [20, STILL])
+def test_a_base_that_was_restarted_is_so_though_it_was_silent_for_long(finder, at):
+    """However near to where it began it stands, and though a robot could have driven back in that time."""
+    anew = posed(np.concatenate([TRUTH[:at], compose(inverse(TRUTH[at]), TRUTH[at:])]))
+    anew = [*anew[:at], *(replace(frame, stamp=frame.stamp + 5.0) for frame in anew[at:])]
+    then = driven(finder, anew[: at + 60])
+    assert [(jump.stamp, jump.anew) for jump in finder.jumps] == [(FRAMES[at].stamp + 5.0, False)]
+    assert error(then, TRUTH[: at + 60]) < 0.1
+
+
+def test_a_robot_that_was_not_heard_on_its_way_home_is_where_its_odometry_says(finder):
+    there = np.array([0.9, 0.3, 0.2])
+    for stamp, pose in [(0.0, np.zeros(3)), (0.1, there), (6.1, np.array([0.05, 0.04, 0.1]))]:
+        last = finder.add(replace(FRAMES[0], stamp=stamp, pose=pose))
+    assert not finder.jumps
+    np.testing.assert_allclose(last, [0.05, 0.04, 0.1], atol=1e-6)
+
+
 def test_a_drive_that_is_played_again_begins_anew(finder):
     driven(finder, drifting()[:100])
     assert finder.graph is not None

@@ -30,7 +30,7 @@ echogrid localise drive.bag --map plan.yaml --start 1.5,2,90
 echogrid localise drive.csv --robot my-robot.yaml --map house --anywhere
 """,
     "plan": """
-echogrid plan house --from 1,2 --to 6.5,3          # by the robot that mapped it
+echogrid plan house --from 1,2 --to 4.5,4          # by the robot that mapped it
 echogrid plan plan.yaml --robot my-robot.yaml --from=-1.5,2 --to 6.5,3
 """,
     "explore": """

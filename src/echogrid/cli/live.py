@@ -168,8 +168,8 @@ def _map(mapping: "Mapping", network: "Network", saver: "_Saver", stop: list[int
         if now >= discover_due:
             discover_due = now + (DISCOVER_S if mapping.scans else SOON_S)
             network.discover()
-        for heard, topic, message in network.take():
-            mapping.take(heard, topic, message, now)
+        for heard, topic, message, source in network.take():
+            mapping.take(heard, topic, message, now, source)
         for picture in mapping.step(now):
             network.send(picture)
         _tell(mapping)
@@ -184,8 +184,8 @@ def _map(mapping: "Mapping", network: "Network", saver: "_Saver", stop: list[int
 
 def _finish(mapping: "Mapping", network: "Network") -> None:
     """Map what has come and was not mapped yet."""
-    for heard, topic, message in network.take():
-        mapping.take(heard, topic, message, time.monotonic())
+    for heard, topic, message, source in network.take():
+        mapping.take(heard, topic, message, time.monotonic(), source)
     mapping.finish()
     _tell(mapping)
 

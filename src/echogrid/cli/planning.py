@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 
 _FILES = ("path.csv", "path.png")
 
+_MOVED_M, _ROUND_M = 0.02, 0.005
+"""A start or goal that was moved farther is told of; room is told to twice the second."""
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -76,21 +79,24 @@ class Plan:
         with made(self.out):
             for name in _FILES:
                 check_writable(self.out / name)
-            title = escaped(f"{self.map.name}, {robot.name}, {way.length_m:.2f} m")
+            title = escaped(f"{self.map.resolve().name}, {robot.name}, {way.length_m:.2f} m")
             with replacing(self.out / "path.png") as picture, replacing(self.out / "path.csv") as table:
-                draw_map(picture, grid, way.points, title, drive="path", discs=_discs(way, robot))
+                draw_map(picture, grid, way.points, title, drive="path", marks=_over(way), discs=_discs(way, robot))
                 table.write_text(_csv(way), encoding="utf-8")
+        for what, given, at in (("start", start, way.points[0]), ("goal", goal, way.points[-1])):
+            if (off := float(np.hypot(*(at - given)))) > _MOVED_M:
+                print(
+                    f"note: the {what} was moved by {off:.2f} m, to ({at[0]:.2f}, {at[1]:.2f}) m, where by the map "
+                    "the robot can stand",
+                    file=sys.stderr,
+                )
         if way.narrow is not None:
             print(
                 f"note: at ({way.narrow[0]:.2f}, {way.narrow[1]:.2f}) m the way is hardly wide enough by the map, "
                 "whose walls may be drawn too thick: drive slowly there, or map it once more from near",
                 file=sys.stderr,
             )
-        least = float(np.min(way.clearance_m))
-        beside = f"{max(least, 0):.2f} m or more beside {robot.name}"
-        if least < 0 and self.unknown:
-            beside = f"{robot.name} partly over ground that is not known"
-        print(escaped(f"{self.out}/path.csv: {way.length_m:.2f} m, {beside}; {self.out}/path.png"))
+        print(escaped(f"{self.out}/path.csv: {way.length_m:.2f} m, {_beside(way, robot.name)}; {self.out}/path.png"))
 
 
 def _point(text: str, where: str) -> tuple[float, float]:
@@ -120,6 +126,22 @@ def _discs(way: "Way", robot: Robot) -> dict[str, "Discs"]:
     if way.narrow is not None:
         discs["narrow"] = ("tab:red", np.array([way.narrow]), robot.footprint_radius_m)
     return discs
+
+
+def _over(way: "Way") -> dict[str, tuple[str, Float[ndarray, "n 2"]]]:
+    """Where the footprint covers what is not known to be free."""
+    over = way.points[way.clearance_m < -_ROUND_M]
+    return {"not surely free": ("tab:orange", over)} if len(over) else {}
+
+
+def _beside(way: "Way", name: str) -> str:
+    """How much room there is beside the robot."""
+    least = float(np.min(way.clearance_m))
+    if least > -_ROUND_M:
+        return f"{max(least, 0):.2f} m or more beside {name}"
+    over = way.clearance_m < -_ROUND_M
+    along = float(np.sum(np.diff(way.s_m)[over[1:] | over[:-1]]))
+    return f"{along:.2f} m of it over what is not surely free, which {name} covers by up to {-least:.2f} m"
 
 
 def _csv(way: "Way") -> str:

@@ -154,6 +154,8 @@ class Network:
             DataWriter(self._participant, Topic(self._participant, name, OccupancyGrid), qos)
             for name, qos in zip(sent, (KEPT_QOS, LOCAL_MAP_QOS), strict=True)
         )
+        if command_topic is not None:
+            self._listen(dds_topic(command_topic), Twist, SENSOR_QOS, Heard.COMMAND)
         self._goals, self._commands = (
             DataWriter(self._participant, Topic(self._participant, name, kind), qos) if name else None
             for name, kind, qos in zip(driven, (PoseStamped, Twist), (GOAL_QOS, LOCAL_MAP_QOS), strict=True)
@@ -185,8 +187,10 @@ class Network:
         if not self._held:
             self._waitset.wait(int(seconds * 1e9))
 
-    def take(self) -> list[tuple[Heard, str, Any]]:
-        """What has come, as it was sent: of which kind, on which topic (ROS 2's name), and the message."""
+    def take(self) -> list[tuple[Heard, str, Any, int]]:
+        """What has come, as it was sent: of which kind, on which topic (ROS 2's name), the message, and a number for
+        who sent it.
+        """
         found, self._held, begin = self._held, [], time.time_ns()
         for reader in self._readers.values():
             try:
@@ -202,7 +206,7 @@ class Network:
                     # What came since waits, so that no topic runs ahead of those that were looked at before it.
                     (found if sent < begin else self._held).append((sent, reader.heard, reader.topic, sample))
         found.sort(key=itemgetter(0))
-        return [(heard, topic, sample) for _, heard, topic, sample in found]
+        return [(heard, topic, sample, sample.sample_info.publication_handle) for _, heard, topic, sample in found]
 
     def discover(self) -> None:
         """Listen to the topics of ranges, odometry and transforms that have got a writer."""

@@ -17,6 +17,8 @@ from echogrid.live.sonar_array import listed
 from echogrid.planning.explorer import NOWHERE, Explorer
 from echogrid.planning.following import Pace
 from echogrid.planning.guiding import Guide
+from echogrid.position.motion import restarted
+from echogrid.ros.messages import few
 
 CONTROL_S = 0.1
 """From one velocity to the next, by the robot's clock."""
@@ -36,6 +38,9 @@ FASTER, SLACK_M, SLACK_RAD = 3.0, 0.15, 0.5
 
 OTHERS = 1.0, 2.0
 """How fast a robot is taken to be at most that somebody else drives, m/s and rad/s."""
+
+YIELDS_S = 3.0
+"""A robot that another program drove, so long ago at most, is left to that."""
 
 STALLED_S, STALLED_M, STALLED_RAD = 2.0, 0.01, np.deg2rad(3.0)
 """A robot that is driven for so long and gets no farther than this has touched something, or does not obey."""
@@ -69,6 +74,8 @@ class Velocity(NamedTuple):
 
 
 STOP = Velocity(0.0, 0.0)
+
+YIELDS = "another program drives it as well: stop one of the two"
 
 REMADE = "SLAM moved the pose: the map is made anew"
 
@@ -138,11 +145,11 @@ class Driving:
         if odometry is not None and not self.halted:
             self._watch(live_map, odometry, hearing.newest)
         stopped = "the robot's clock stands" if stands else ""
-        self._tell(self.halted or stopped or self._doubts(live_map, hearing, odometry, silent))
+        self._tell(self.halted or stopped or self._doubts(live_map, hearing, odometry, now))
         if self._doubt or odometry is None:
             self.explorer.path = None  # by the map as it is then
             self._stall = None
-            return [STOP] if self._drives.itself else []
+            return [STOP] if self._drives.itself and self._doubt != YIELDS else []
         pose = live_map.in_map(odometry)
         sent = (self._driven if self._drives.itself else self._sent)(live_map, pose, odometry)
         if self.explorer.state == "done":
@@ -213,10 +220,9 @@ class Driving:
             speed, turn = (pace.speed_m_s, pace.turn_rad_s) if self._drives.itself else OTHERS
             far = np.hypot(*step[:2]) > FASTER * speed * took + SLACK_M
             round_ = abs(step[2]) > FASTER * turn * took + SLACK_RAD
-            if far or round_:
+            if far or round_ or restarted(told, odometry, took):
                 jump = f"{np.hypot(*step[:2]):.2f} m and {np.rad2deg(abs(step[2])):.0f} degrees within {took:.1f} s"
-                waits = "it waits for another drive, else " if isinstance(live_map.placing, Slam) else ""
-                self.halted = f"the pose jumped by {jump}, so its place is in doubt: {waits}start echogrid live again"
+                self.halted = f"the pose jumped by {jump}, so its place is in doubt: start echogrid live again"
             # By how much the same place would be told elsewhere.
             off = compose(pose, inverse(odometry)) - shift
             moved = np.hypot(*(compose(shift, odometry) - pose)[:2])
@@ -225,10 +231,14 @@ class Driving:
                 self.explorer.remapped()
         self._last = stamp, odometry, compose(pose, inverse(odometry))
 
-    def _doubts(self, live_map: LiveMap, hearing: Hearing, odometry: Float[ndarray, "3"] | None, silent: bool) -> str:
+    def _doubts(self, live_map: LiveMap, hearing: Hearing, odometry: Float[ndarray, "3"] | None, now: float) -> str:
         """Why the robot must not drive now; nothing if it may."""
         array = live_map.array
-        if silent:
+        if hearing.senders.at_odds(now):
+            return f"two programs at once tell {few(hearing.senders.contested)}"
+        if self._drives.itself and now - hearing.commanded < YIELDS_S:
+            return YIELDS
+        if now - hearing.last_range > ALIVE_S:
             return f"no range came for {ALIVE_S:g} s"
         if array.silent:
             return f"{listed(array.silent)}: silent"

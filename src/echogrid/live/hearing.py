@@ -5,6 +5,7 @@ not taken is counted by reason.
 """
 
 from collections import Counter, deque
+from collections.abc import Hashable
 from enum import Enum
 from itertools import islice
 from math import inf, isfinite, isnan, sqrt
@@ -12,6 +13,7 @@ from operator import itemgetter
 from typing import Any, NamedTuple
 
 from echogrid.live.clocks import APART_S, FAR_STAMP, NO_STAMP, Clock, Stamps, whole
+from echogrid.live.senders import Senders
 from echogrid.live.sonar_array import SonarArray, SonarSaid
 from echogrid.robot import MAX_SONARS
 from echogrid.ros.rigid import Rigid, planar
@@ -55,6 +57,7 @@ class Heard(Enum):
     STATIC = "tf2_msgs/TFMessage on /tf_static"
     ODOMETRY = "nav_msgs/Odometry"
     INITIAL = "geometry_msgs/PoseWithCovarianceStamped"
+    COMMAND = "geometry_msgs/Twist"
 
 
 class _Refusal(Exception):  # noqa: N818 - no error of the user's
@@ -98,6 +101,10 @@ class Hearing:
         """When the last one came by the caller's clock, s."""
         self.initial: Initial | None = None
         """Where the robot is, as it was said last; whoever uses it takes it away."""
+        self.senders = Senders()
+        """Of what is told of the robot that is mapped."""
+        self.commanded = -inf
+        """When another program drove the robot last, by the caller's clock, s."""
         self._refused = refused
         self._moves = 0
         self._odometry: dict[str, str] = {}
@@ -108,7 +115,7 @@ class Hearing:
         self._keeps = True
         self._array: SonarArray | None = None
 
-    def take(self, heard: Heard, topic: str, message: Any, now: float) -> None:
+    def take(self, heard: Heard, topic: str, message: Any, now: float, source: Hashable = None) -> None:
         """Take a message; one that cannot be used is counted and does no harm.
 
         Args:
@@ -116,16 +123,20 @@ class Hearing:
             topic: on which it came.
             message: it has the attributes of that kind, but anything may be in them.
             now: the caller's clock, s, which only has to go on.
+            source: who sent it, where that is known.
         """
         try:
             if heard is Heard.RANGE:
-                self._take_range(topic, message, now)
+                self._take_range(topic, message, now, source)
             elif heard is Heard.ODOMETRY:
-                self._take_odometry(topic, message, now)
+                self._take_odometry(topic, message, now, source)
             elif heard is Heard.INITIAL:
                 self.initial = _initial(message)
+            elif heard is Heard.COMMAND:
+                if message.linear.x or message.angular.z:  # who only says stop disturbs nobody
+                    self.commanded = now
             else:
-                self._take_transforms(message, heard is Heard.STATIC, now)
+                self._take_transforms(topic, message, heard is Heard.STATIC, now, source)
         except _Refusal as refusal:
             self._refused[str(refusal)] += 1
         except Exception:  # strangers decide what is in it
@@ -177,22 +188,26 @@ class Hearing:
         elif array.scans.add(array.numbers[frame], stamp, range_m) is None:
             self.readings += 1
 
-    def _take_transforms(self, message: Any, static: bool, now: float) -> None:
+    def _take_transforms(self, topic: str, message: Any, static: bool, now: float, source: Hashable) -> None:
         for each in islice(message.transforms, MAX_TRANSFORMS):
             try:
                 parent, child = _name(each.header.frame_id), _name(each.child_frame_id)
                 place, turn = each.transform.translation, each.transform.rotation
                 self._put(parent, child, each.header, place, turn, now, static=static)
+                if not static and not stands_still(child) and self._array is not None and child in self._array.line:
+                    self.senders.note(f"{child} on {topic}", source, whole(each.header.stamp), now)
             except _Refusal as refusal:
                 self._refused[str(refusal)] += 1
 
-    def _take_odometry(self, topic: str, message: Any, now: float) -> None:
+    def _take_odometry(self, topic: str, message: Any, now: float, source: Hashable) -> None:
         parent, child = _name(message.header.frame_id or "odom"), _name(message.child_frame_id or "base_link")
         # Two that know better than each other would make the robot jump to and fro.
         if len(self._odometry) >= MAX_SONARS or topic != self._odometry.setdefault(child, topic):
             raise _Refusal("odometry on a second topic")
         pose = message.pose.pose
         self._put(parent, child, message.header, pose.position, pose.orientation, now, weak=True)
+        if self._array is not None and child in self._array.line:
+            self.senders.note(topic, source, whole(message.header.stamp), now)
 
     def _put(self, parent: str, child: str, header: Any, place: Any, turn: Any, now: float, **kind: bool) -> None:
         stamp = 0.0
@@ -221,7 +236,7 @@ class Hearing:
         if jumped:
             self._leap(stamp)
 
-    def _take_range(self, topic: str, message: Any, now: float) -> None:
+    def _take_range(self, topic: str, message: Any, now: float, source: Hashable) -> None:
         frame = _name(message.header.frame_id)
         limits = float(message.min_range), float(message.max_range)
         raw = float(message.range)
@@ -253,6 +268,8 @@ class Hearing:
             self._waiting.append((frame, stamp, value))
         if self._array is not None:
             self._hand_on(self._array, frame, stamp, value)
+            if frame in self._array.numbers:
+                self.senders.note(topic, source, whole(message.header.stamp), now)
 
     def bring_together(self) -> None:
         """Take readings by the robot's clock that are of another one, as far as that is known."""

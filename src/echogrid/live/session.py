@@ -1,7 +1,7 @@
 """A map made while the robot drives: messages of ROS in, maps to publish out; no network and no clock of its own."""
 
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Hashable, Iterable, Iterator
 from dataclasses import replace
 from math import degrees, inf
 from typing import Any
@@ -13,7 +13,7 @@ from echogrid.live.driving import Drives, Driving, Goal, Velocity
 from echogrid.live.hearing import SETTLE_S, Heard, Hearing
 from echogrid.live.known import Known
 from echogrid.live.live_map import LiveMap, Picture, Settings, Snapshot, picture_of
-from echogrid.live.placing import Correction, RobotPose
+from echogrid.live.placing import Correction, RobotPose, Slam
 from echogrid.live.sonar_array import Mounts, SonarArray, frames_of, lack, listed, mounts_of
 from echogrid.live.telling import Telling, doubts, kind_of
 from echogrid.models.networks.set_network import SetNetwork
@@ -96,9 +96,9 @@ class Live:
         """Whether scans wait to be mapped."""
         return self._map is not None and self._map.busy
 
-    def take(self, heard: Heard, topic: str, message: Any, now: float) -> None:
+    def take(self, heard: Heard, topic: str, message: Any, now: float, source: Hashable = None) -> None:
         """Take a message: as ``Hearing.take``."""
-        self._hearing.take(heard, topic, message, now)
+        self._hearing.take(heard, topic, message, now, source)
 
     def notices(self) -> list[str]:
         """What the user should know and was not told yet."""
@@ -130,7 +130,10 @@ class Live:
             known = hearing.transforms.known(self._map.array.fixed, self._map.array.base)
             behind = known is not None and hearing.newest - known[1] > LAG_S
             yield from self._map.step(now, REACH_S if behind else 0.0)
-            self._notices += self._map.placing.notices() if self._map.placing else ()
+            said = list(self._map.placing.notices()) if self._map.placing else []
+            self._notices += said
+            if isinstance(self._map.placing, Slam):
+                self._doubts += said
             yield from self._drive(self._map, now)
         if now >= self._check_due:
             self._check_due = now + CHECK_S

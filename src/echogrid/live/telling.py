@@ -59,6 +59,12 @@ def doubts(hearing: Hearing, array: SonarArray | None) -> Iterator[tuple[str, st
     """What is doubtful about what was heard by now: of which kind, and what is to be said."""
     yield from _frames(hearing, array)
     yield from _clocks(hearing)
+    if contested := hearing.senders.contested:
+        yield (
+            "senders",
+            f"two programs at once tell {few(contested)}: stop one (a second robot, a bag that is played, a driver "
+            "that was left running)",
+        )
     if array is not None:
         yield from _limits(hearing, array)
         yield from _parents(hearing, array)

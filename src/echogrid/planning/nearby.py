@@ -13,7 +13,7 @@ from echogrid.mapping.mapper import Mapper
 from echogrid.mapping.registry import DEFAULT
 from echogrid.models.model import Model
 from echogrid.planning.onward import Onward, taken_at
-from echogrid.position.motion import jumped
+from echogrid.position.motion import broken
 from echogrid.robot import Robot
 
 HALF_LIFE_S = 10.0
@@ -52,8 +52,8 @@ class Nearby:
         """
         for frame in frames:
             if self._last is not None:
-                step, took = compose(inverse(self._last.pose), frame.pose), frame.stamp - self._last.stamp
-                if took < 0 or jumped(step, took):
+                took = frame.stamp - self._last.stamp
+                if took < 0 or broken(self._last.pose, frame.pose, took):
                     self._mapper = self._make()
                     self._onward.forget()
             self._last = frame

@@ -88,9 +88,12 @@ def plan(grid: Grid, start: Point, goal: Point, robot: Robot, unknown: bool = Fa
 
     Raises:
         NoPathError: there is none, and why.
-        UsageError: no such points, or a map without free cells or with too many.
+        UsageError: no such points, a robot without a footprint, or a map without free cells or with too many.
     """
     ends = _ends(start, goal)
+    if robot.footprint_radius_m <= 0:
+        found = "found 0, expected the radius of what is to drive, m"
+        raise UsageError(f"robot {robot.name}: footprint_radius_m: {found}")
     corner_m = CORNER * grid.resolution
     floor = Floor.of(grid, robot.footprint_radius_m, margin_m=max(MARGIN_M, corner_m))
     sure = floor.costs(unknown)
@@ -177,9 +180,11 @@ def _standing(
     near, off = floor.standing(costs, p)
     if near is not None and off <= OFF_M + floor.grid.resolution:
         return near
-    stands = "nowhere" if near is None else f"{off:.2f} m off, at {_told(floor, near)}"
+    stands = "there is no place to stand"
+    if near is not None:
+        stands = f"the nearest place to stand is {off:.2f} m off, at {_told(floor, near)}"
     found = f"found {_why_not(floor, floor.cell(p))}, expected free floor for a footprint of {floor.radius_m:g} m"
-    raise NoPathError(f"plan: {what} {_place(p)}: {found}; the nearest place to stand is {stands}")
+    raise NoPathError(f"plan: {what} {_place(p)}: {found}; {stands}")
 
 
 def _why_not(floor: Floor, cell: tuple[int, int] | None) -> str:
@@ -212,15 +217,24 @@ def _no_way(
     assert near is not None
     off = float(np.linalg.norm(floor.grid.centre_of(np.array(near)) - goal))
     # On what is free the footprint may come up to what is not; from what is occupied it keeps its margin.
-    room = floor.gap_m if unknown else np.minimum(floor.gap_m, floor.known_m + np.float32(floor.margin_m))
+    room = floor.gap_m
+    if not unknown:
+        room = np.where(floor.known_m > 0, np.minimum(room, floor.known_m + np.float32(floor.margin_m)), 0)
     wide, narrow = _widest(room, first, last)
     lacks = f"the widest way there is {2 * wide:.2f} m wide, at {_told(floor, narrow)}"
     lacks = lacks if wide > 0 else "walls, or what is unknown, are all round it"
     needs = 2 * floor.body_m
+    over = "" if unknown else _over_unknown(floor, first, last)
     return (
         f"found no way to {_place(goal)}: {lacks}, expected a way {needs:.2f} m wide; "
-        f"the robot gets within {off:.2f} m of it, at {_told(floor, near)}"
+        f"the robot gets within {off:.2f} m of it, at {_told(floor, near)}{over}"
     )
+
+
+def _over_unknown(floor: Floor, first: tuple[int, int], last: tuple[int, int]) -> str:
+    """That there is a way over what is not known, if there is."""
+    to_go = _core.cost_to_go(floor.costs(unknown=True), np.array([last], np.int64), floor.grid.resolution)
+    return "; over ground that is not known there is a way (--unknown)" if np.isfinite(to_go[first]) else ""
 
 
 def _widest(
@@ -237,7 +251,8 @@ def _widest(
     if not low:
         return 0.0, first
     wide = levels[low - 1]
-    costs = np.where(room_m >= wide, 1, np.inf).astype(np.float32)
+    # The way goes through as few as can be of what is as narrow: not round the end of a wall that it could keep off.
+    costs = np.where(room_m > wide, 1, np.where(room_m == wide, room_m.size, np.inf)).astype(np.float32)
     to_go = _core.cost_to_go(costs, np.array([last], np.int64), 1.0)
     cells = _down(to_go, costs, first)
     row, col = cells[np.argmin(room_m[tuple(cells.T)])].tolist()

@@ -17,7 +17,7 @@ from echogrid.mapping.intake import check_robot, cleaned, fitting
 from echogrid.mapping.registry import DEFAULT, sensor_model
 from echogrid.position.beams import FREE, Beams
 from echogrid.position.floor import Walls, check_start, in_map
-from echogrid.position.motion import Drift, jumped, lengths
+from echogrid.position.motion import Drift, broken, lengths
 from echogrid.position.particles import Particles, Place
 from echogrid.position.sights import Ground, sight
 from echogrid.position.usual import Usual
@@ -282,10 +282,9 @@ class Localiser:
         """The way from the last frame by odometry; none where that jumps."""
         if self._last is None:
             return np.zeros(3)
-        step = compose(inverse(self._last.pose), frame.pose)
         took = frame.stamp - self._last.stamp
-        if not jumped(step, took):
-            return step
+        if not broken(self._last.pose, frame.pose, took):
+            return compose(inverse(self._last.pose), frame.pose)
         if took <= 0:
             self._note("anew", frame)
             self.begin(self._start)

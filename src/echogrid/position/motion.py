@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from echogrid.doubts import FASTEST_M_S, FASTEST_RAD_S, JUMP_M, JUMP_RAD
-from echogrid.geometry import compose, inverse
+from echogrid.geometry import compose, inverse, wrap
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,10 @@ class Drift:
     """Of a step in which the robot did not move, m and rad."""
 
 
+QUIET_S, ZERO_M, ZERO_RAD, LEFT_M, LEFT_RAD = 1.0, 0.02, 0.02, 0.1, 0.1
+"""Odometry that says nothing for longer than the first, and then is as near to 0 as the next two, and was farther off
+than the last before, counts from there: its base was restarted. A robot that is driven home comes seldom so near."""
+
 PARAMETERS = 3
 """Of a drive: error of scale, heading bias (rad/m), error of turning."""
 
@@ -51,6 +55,20 @@ def jumped(step: Float[ndarray, "*n 3"], took: Float[ndarray, "*n"] | float) -> 
     """Whether steps (m, m, rad) are such as no robot does in a time (s); none at all where time goes back."""
     way, turn = np.hypot(step[..., 0], step[..., 1]), np.abs(step[..., 2])
     return (way > np.maximum(JUMP_M, FASTEST_M_S * took)) | (turn > np.maximum(JUMP_RAD, FASTEST_RAD_S * took))
+
+
+def restarted(
+    before: Float[ndarray, "*n 3"], after: Float[ndarray, "*n 3"], took: Float[ndarray, "*n"] | float
+) -> Bool[ndarray, "*n"] | np.bool:
+    """Whether odometry began again at 0 between two poses (m, m, rad), after a silence (s)."""
+    left = (np.hypot(before[..., 0], before[..., 1]) > LEFT_M) | (np.abs(wrap(before[..., 2])) > LEFT_RAD)
+    there = (np.hypot(after[..., 0], after[..., 1]) < ZERO_M) & (np.abs(wrap(after[..., 2])) < ZERO_RAD)
+    return left & there & (took > QUIET_S)
+
+
+def broken(before: Float[ndarray, "3"], after: Float[ndarray, "3"], took: float) -> bool:
+    """Whether odometry that says one pose (m, m, rad) and, a time (s) later, another tells nothing of the way."""
+    return bool(jumped(compose(inverse(before), after), took) or restarted(before, after, took))
 
 
 def corrected(step: Float[ndarray, "n 3"], parameters: Float[ndarray, "3"]) -> Float[ndarray, "n 3"]:

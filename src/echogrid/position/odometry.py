@@ -114,7 +114,8 @@ def _jumps(
     step = motion.steps(poses[at])
     # The time for it: since the scan before, or since the last pose, if the robot has not stood there.
     took = np.maximum(stamps[at[1:]] - stamps[at[1:] - 1], np.minimum(np.diff(stamps[at]), _STANDS * period))
-    return np.asarray(motion.jumped(step, took))
+    silent = stamps[at[1:]] - stamps[at[1:] - 1]
+    return np.asarray(motion.jumped(step, took) | motion.restarted(poses[at[:-1]], poses[at[1:]], silent))
 
 
 def _at_stops(known: Float[ndarray, "changes 3"], jumps: Bool[ndarray, "steps"]) -> bool:

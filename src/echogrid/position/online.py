@@ -17,7 +17,7 @@ from echogrid.geometry import compose, inverse, wrapped
 from echogrid.mapping.intake import check_robot, cleaned, fitting
 from echogrid.position.beside import Beside
 from echogrid.position.growing import Graph, Growing, grown
-from echogrid.position.motion import chained, corrected, jumped, lengths, steps
+from echogrid.position.motion import broken, chained, corrected, lengths, steps
 from echogrid.position.pieces import LEAST_FRAMES, PIECE_M, PIECE_RAD
 from echogrid.robot import Robot
 
@@ -163,7 +163,7 @@ class OnlineSlam:
             return
         step = compose(inverse(self._last.pose), frame.pose)
         took = frame.stamp - self._last.stamp
-        if jumped(step, took):
+        if broken(self._last.pose, frame.pose, took):
             self.jumps.append(Jump(frame.stamp, took <= 0))
             if took <= 0:
                 self.drives += 1
