@@ -145,7 +145,8 @@ def _free_space(
     gap = world.clearance(points).reshape(ny, nx)
     free = _room(world, points, gap > clearance)
     if not free.any():
-        raise UsageError(f"world {world.name}: found no free space {clearance:.2f} m from all walls, expected a room")
+        found = f"no free space {clearance:.2f} m from all walls"
+        raise UsageError(f"world {world.name}: found {found}, expected a room with walls all round")
     return points.reshape(ny, nx, 2), gap, free, cell
 
 
