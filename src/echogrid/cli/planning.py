@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 from tqdm import tqdm
 from tyro.conf import Positional, arg
@@ -79,7 +79,7 @@ class Plan:
         with made(self.out):
             for name in _FILES:
                 check_writable(self.out / name)
-            title = escaped(f"{self.map.resolve().name}, {robot.name}, {way.length_m:.2f} m")
+            title = escaped(f"{self.map.absolute().name}, {robot.name}, {way.length_m:.2f} m")
             with replacing(self.out / "path.png") as picture, replacing(self.out / "path.csv") as table:
                 draw_map(picture, grid, way.points, title, drive="path", marks=_over(way), discs=_discs(way, robot))
                 table.write_text(_csv(way), encoding="utf-8")
@@ -128,18 +128,22 @@ def _discs(way: "Way", robot: Robot) -> dict[str, "Discs"]:
     return discs
 
 
+def _covers(way: "Way") -> Bool[ndarray, "n"]:
+    """At which points the footprint covers what is not known to be free."""
+    return way.clearance_m < -_ROUND_M
+
+
 def _over(way: "Way") -> dict[str, tuple[str, Float[ndarray, "n 2"]]]:
-    """Where the footprint covers what is not known to be free."""
-    over = way.points[way.clearance_m < -_ROUND_M]
+    """Where it does, to be marked."""
+    over = way.points[_covers(way)]
     return {"not surely free": ("tab:orange", over)} if len(over) else {}
 
 
 def _beside(way: "Way", name: str) -> str:
     """How much room there is beside the robot."""
-    least = float(np.min(way.clearance_m))
-    if least > -_ROUND_M:
+    least, over = float(np.min(way.clearance_m)), _covers(way)
+    if not over.any():
         return f"{max(least, 0):.2f} m or more beside {name}"
-    over = way.clearance_m < -_ROUND_M
     along = float(np.sum(np.diff(way.s_m)[over[1:] | over[:-1]]))
     return f"{along:.2f} m of it over what is not surely free, which {name} covers by up to {-least:.2f} m"
 

@@ -145,7 +145,8 @@ class Driving:
         if odometry is not None and not self.halted:
             self._watch(live_map, odometry, hearing.newest)
         stopped = "the robot's clock stands" if stands else ""
-        self._tell(self.halted or stopped or self._doubts(live_map, hearing, odometry, now))
+        doubt = self._rivals(hearing, now) or self._doubts(live_map, hearing, odometry, silent)
+        self._tell(self.halted or stopped or doubt)
         if self._doubt or odometry is None:
             self.explorer.path = None  # by the map as it is then
             self._stall = None
@@ -231,14 +232,16 @@ class Driving:
                 self.explorer.remapped()
         self._last = stamp, odometry, compose(pose, inverse(odometry))
 
-    def _doubts(self, live_map: LiveMap, hearing: Hearing, odometry: Float[ndarray, "3"] | None, now: float) -> str:
-        """Why the robot must not drive now; nothing if it may."""
-        array = live_map.array
+    def _rivals(self, hearing: Hearing, now: float) -> str:
+        """Who else speaks for the robot, or to it, by the caller's clock (s); nothing if nobody does."""
         if hearing.senders.at_odds(now):
             return f"two programs at once tell {few(hearing.senders.contested)}"
-        if self._drives.itself and now - hearing.commanded < YIELDS_S:
-            return YIELDS
-        if now - hearing.last_range > ALIVE_S:
+        return YIELDS if self._drives.itself and now - hearing.commanded < YIELDS_S else ""
+
+    def _doubts(self, live_map: LiveMap, hearing: Hearing, odometry: Float[ndarray, "3"] | None, silent: bool) -> str:
+        """Why the robot must not drive now; nothing if it may."""
+        array = live_map.array
+        if silent:
             return f"no range came for {ALIVE_S:g} s"
         if array.silent:
             return f"{listed(array.silent)}: silent"

@@ -133,7 +133,7 @@ class Live:
             said = list(self._map.placing.notices()) if self._map.placing else []
             self._notices += said
             if isinstance(self._map.placing, Slam):
-                self._doubts += said
+                self._doubts += self._telling.told([(kind_of(note), note) for note in said], now=True)
             yield from self._drive(self._map, now)
         if now >= self._check_due:
             self._check_due = now + CHECK_S

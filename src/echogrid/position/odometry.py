@@ -113,8 +113,8 @@ def _jumps(
     """Which steps from one new pose to the next are faster than any robot."""
     step = motion.steps(poses[at])
     # The time for it: since the scan before, or since the last pose, if the robot has not stood there.
-    took = np.maximum(stamps[at[1:]] - stamps[at[1:] - 1], np.minimum(np.diff(stamps[at]), _STANDS * period))
     silent = stamps[at[1:]] - stamps[at[1:] - 1]
+    took = np.maximum(silent, np.minimum(np.diff(stamps[at]), _STANDS * period))
     return np.asarray(motion.jumped(step, took) | motion.restarted(poses[at[:-1]], poses[at[1:]], silent))
 
 

@@ -161,7 +161,6 @@ class OnlineSlam:
         if self._last is None:
             self._begin(np.array(frame.pose, dtype=float))
             return
-        step = compose(inverse(self._last.pose), frame.pose)
         took = frame.stamp - self._last.stamp
         if broken(self._last.pose, frame.pose, took):
             self.jumps.append(Jump(frame.stamp, took <= 0))
@@ -173,6 +172,8 @@ class OnlineSlam:
             step = np.zeros(3)
             self._end_piece()
             self._jumped = True
+        else:
+            step = compose(inverse(self._last.pose), frame.pose)
         self._at = compose(self._at, step)
         self._pose = compose(self._pose, corrected(step[None], self._parameters)[0])
 
